@@ -1,0 +1,40 @@
+# Everything a user or a developer runs; each target makes the environment it needs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test test-slow lint bench schema clean
+
+# The stamp is newer than pyproject.toml when the environment has what the project asks for.
+$(VENV)/demo.stamp: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable '.[menagerie,render]'
+	touch $@
+
+$(VENV)/test.stamp: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable '.[menagerie,render,test]'
+	touch $@
+
+demo: $(VENV)/demo.stamp
+	$(BIN)/rmrc solve configs/panda_line.yaml
+
+test: $(VENV)/test.stamp
+	$(BIN)/python -m pytest
+
+test-slow: $(VENV)/test.stamp
+	$(BIN)/python -m pytest -m slow
+
+lint: $(VENV)/test.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+bench: $(VENV)/test.stamp
+	$(BIN)/python bench/step.py
+
+schema: $(VENV)/test.stamp
+	$(BIN)/rmrc schema > rmrc.schema.json
+
+clean:
+	rm -rf $(VENV) runs .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,212 @@
+"""The command line: one function a command, each calling one library function."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from rmrc.errors import RmrcError
+
+NOT_CONVERGED, WRONG_INPUT, OUR_FAULT = 1, 2, 3
+"""Exit codes; 0 is success."""
+
+app = typer.Typer(
+    help="Resolved motion rate control: differential inverse kinematics on MuJoCo models.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML configuration.")]
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Set a value, as in solver.backend=osqp."),
+]
+
+
+def main() -> None:
+    """Run the command line; every way out is an exit code and at most one clear message."""
+    try:
+        app()
+    except RmrcError as mistake:
+        _complain(str(mistake), WRONG_INPUT)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(NOT_CONVERGED)
+    except KeyboardInterrupt:
+        _complain("interrupted", NOT_CONVERGED)
+    except OSError as failure:
+        _complain(str(failure), WRONG_INPUT)
+    except Exception as fault:  # the last resort: a traceback is for us, not for users
+        if os.environ.get("RMRC_TRACEBACK"):
+            raise
+        where = f"{type(fault).__name__}: {fault}"
+        _complain(f"a fault of rmrc itself: {where} (RMRC_TRACEBACK=1 shows where)", OUR_FAULT)
+
+
+def _complain(message: str, code: int) -> None:
+    print(f"rmrc: {message}" if "\n" not in message else message, file=sys.stderr)
+    sys.exit(code)
+
+
+def _overrides(settings: list[str] | None) -> dict[str, Any]:
+    from rmrc.config.load import parse_override
+
+    return dict(parse_override(text) for text in settings or [])
+
+
+@app.command()
+def solve(
+    config: ConfigPath,
+    settings: Settings = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The run folder; by default runs/NAME-0001, counting up.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Run a configuration: a progress bar, a summary, a run folder with a report."""
+    import rmrc
+    from rmrc.record.run import ensure_free
+
+    if out is not None:
+        ensure_free(out)
+    loaded = rmrc.load(config, overrides=_overrides(settings))
+    run = _solve_with_progress(loaded)
+    folder = run.save(out) if out is not None else run.save_numbered("runs")
+    if as_json:
+        print(json.dumps({"run": str(folder), **run.summary}, allow_nan=False))
+    else:
+        _print_summary(run.manifest, folder)
+    kept = all(limit["max_violation"] == 0 for limit in run.summary["limits"].values())
+    raise typer.Exit(0 if run.summary["converged"] and kept else NOT_CONVERGED)
+
+
+def _solve_with_progress(config: Any) -> Any:
+    """Solve behind a progress bar on a terminal, and without one in a pipe."""
+    import rmrc
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        return rmrc.solve(config)
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(config.name)
+        return rmrc.solve(config, lambda done, count: bar.update(task, completed=done, total=count))
+
+
+def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
+    console, summary = Console(highlight=False), manifest["summary"]
+    table = Table(title=escape(manifest["name"]), title_justify="left", show_edge=False)
+    for header in ("", "rms", "max", "final", "unit"):
+        table.add_column(header, justify="left" if header in ("", "unit") else "right")
+    for name, numbers in summary["tasks"].items():
+        _add_task(table, name, numbers)
+        if "orientation" in numbers:
+            _add_task(table, "  orientation", numbers["orientation"])
+    console.print(table)
+    for name, limit in summary["limits"].items():
+        if limit["max_violation"]:
+            joint = f" ({escape(limit['joint'])})" if limit.get("joint") else ""
+            console.print(
+                f"[red]{name} limit passed by {limit['max_violation']:.3g} {limit['unit']}{joint}[/]"
+            )
+    counts = ", ".join(f"{name} {count}" for name, count in summary["status"].items())
+    time = summary["step_time_us"]
+    verdict = "[green]converged[/]" if summary["converged"] else "[red]not converged[/]"
+    console.print(
+        f"{verdict} · {summary['steps']} steps: {counts} · "
+        f"{time['median']:.0f} µs a step (p99 {time['p99']:.0f}) · "
+        f"{summary['engine']} engine, {summary['backend']}"
+    )
+    if manifest.get("interrupted"):
+        console.print("[yellow]interrupted: this is what was done so far[/]")
+    for notice in manifest.get("notices", []):
+        console.print(f"[dim]note: {escape(notice)}[/]")
+    console.print(f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}")
+
+
+def _add_task(table: Table, name: str, numbers: dict[str, Any]) -> None:
+    values = (f"{numbers[key]:.3g}" for key in ("rms", "max", "final"))
+    table.add_row(escape(name), *values, numbers["unit"])
+
+
+@app.command()
+def check(
+    configs: Annotated[list[Path], typer.Argument(metavar="CONFIG…", help="YAML configurations.")],
+    settings: Settings = None,
+) -> None:
+    """Validate configurations against their models, and say what will bind."""
+    from rmrc.control.loop import check as check_config
+
+    overrides, mistaken = _overrides(settings), False
+    for path in configs:
+        try:
+            lines = check_config(path, overrides)
+        except RmrcError as mistake:
+            mistaken = True
+            print(mistake, file=sys.stderr)
+        else:
+            print(f"{path}: ok")
+            for line in lines:
+                print(f"  {line}")
+    raise typer.Exit(WRONG_INPUT if mistaken else 0)
+
+
+@app.command()
+def show(config: ConfigPath, settings: Settings = None) -> None:
+    """Print the resolved configuration, each value with its origin."""
+    from rmrc.config.load import show as show_config
+
+    print(show_config(config, overrides=_overrides(settings)), end="")
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of configurations and stacks."""
+    from rmrc.config.schema import schema as json_schema
+
+    print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+
+
+@app.command()
+def report(
+    run: RunPath,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The file; by default report.html in RUN.")
+    ] = None,
+) -> None:
+    """Write the report of a run again."""
+    from rmrc.record.report import write_report
+    from rmrc.record.run import REPORT, Run
+
+    path = out or run / REPORT
+    write_report(Run.load(run), path)
+    print(path)
+
+
+@app.command()
+def render(
+    run: RunPath,
+    out: Annotated[Path, typer.Option("--out", "-o", help="A .png or .gif file.")],
+) -> None:
+    """Draw the robot: its last pose as PNG, or its motion as GIF."""
+    from rmrc.record.render import render as render_run
+    from rmrc.record.run import Run
+
+    render_run(Run.load(run), out)
+    print(out)

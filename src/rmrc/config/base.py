@@ -1,0 +1,152 @@
+"""The base class and the value types that every part of a configuration is made of."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    model_validator,
+)
+
+FrameKind = Literal["site", "body", "geom"]
+FRAME_KINDS: tuple[FrameKind, ...] = ("site", "body", "geom")
+
+# Eigenvalues of a weight matrix down to this share of the largest count as zero, not negative.
+SEMIDEFINITE_TOLERANCE = 1e-9
+
+
+NameKind = Literal["site", "body", "geom", "joint", "keyframe"]
+
+
+@dataclass(frozen=True)
+class NameOf:
+    """Marks a string of the configuration as the name of something in the MuJoCo model."""
+
+    kind: NameKind
+
+
+class Model(BaseModel):
+    """A part of a configuration: frozen, and an unknown key is a mistake."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def _plain(value: Any) -> Any:
+    """Turn numpy arrays and scalars into lists and numbers, so that Python callers can pass them."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+
+
+def _weight(value: Any) -> float | tuple[float, ...] | tuple[tuple[float, ...], ...]:
+    """Validate a weight: a number, a diagonal, or a symmetric positive semi-definite matrix."""
+    value = _plain(value)
+    if _is_number(value):
+        if value < 0:
+            raise ValueError(f"a weight cannot be negative, and this is {value}")
+        return float(value)
+    if isinstance(value, (list, tuple)) and value and all(map(_is_number, value)):
+        if min(value) < 0:
+            raise ValueError(f"a weight cannot be negative, and this diagonal has {min(value)}")
+        return tuple(map(float, value))
+    rows = [_plain(row) for row in value] if isinstance(value, (list, tuple)) else []
+    square = rows and all(isinstance(row, (list, tuple)) and len(row) == len(rows) for row in rows)
+    if not square or not all(_is_number(x) for row in rows for x in row):
+        raise ValueError(
+            "a weight is a finite number, a list of them (the diagonal) or a square matrix"
+        )
+    matrix = np.array(rows, dtype=float)
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0):
+        raise ValueError("a weight matrix must be symmetric")
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    if eigenvalues[0] < -SEMIDEFINITE_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
+        raise ValueError(
+            f"a weight matrix must be positive semi-definite; its least eigenvalue is {eigenvalues[0]:.3g}"
+        )
+    return tuple(tuple(map(float, row)) for row in rows)
+
+
+Number = Annotated[float, BeforeValidator(_plain), Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Vector = Annotated[tuple[Number, ...], BeforeValidator(_plain)]
+Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_plain)]
+
+
+def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if float(np.linalg.norm(value)) < 1e-12:
+        raise ValueError("a direction cannot have zero length")
+    return value
+
+
+def _quaternion(value: Any) -> tuple[float, float, float, float]:
+    value = _plain(value)
+    if not isinstance(value, (list, tuple)) or len(value) != 4 or not all(map(_is_number, value)):
+        raise ValueError("a quaternion is four finite numbers, in the order w, x, y, z")
+    norm = float(np.linalg.norm(value))
+    if norm < 1e-12:
+        raise ValueError("a quaternion of zero norm is no rotation; the identity is [1, 0, 0, 0]")
+    w, x, y, z = (float(part) / norm for part in value)
+    return (w, x, y, z)
+
+
+def _vector3(value: Any) -> tuple[float, float, float]:
+    value = _plain(value)
+    if not isinstance(value, (list, tuple)) or len(value) != 3 or not all(map(_is_number, value)):
+        raise ValueError("three finite numbers are wanted: [x, y, z]")
+    x, y, z = map(float, value)
+    return (x, y, z)
+
+
+Direction = Annotated[
+    tuple[float, float, float], BeforeValidator(lambda value: _direction(_vector3(value)))
+]
+Quaternion = Annotated[tuple[float, float, float, float], BeforeValidator(_quaternion)]
+Weight = Annotated[
+    float | tuple[float, ...] | tuple[tuple[float, ...], ...], BeforeValidator(_weight)
+]
+JointName = Annotated[str, NameOf("joint")]
+KeyframeName = Annotated[str, NameOf("keyframe")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_\-]*$")]
+
+
+class Frame(Model):
+    """A frame of the model: exactly one of a site, a body or a geom, by name."""
+
+    site: Annotated[str, NameOf("site")] | None = None
+    """Name of a site."""
+    body: Annotated[str, NameOf("body")] | None = None
+    """Name of a body."""
+    geom: Annotated[str, NameOf("geom")] | None = None
+    """Name of a geom."""
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> "Frame":
+        if sum(getattr(self, kind) is not None for kind in FRAME_KINDS) != 1:
+            raise ValueError("name exactly one of site, body and geom, as in {site: hand}")
+        return self
+
+    @property
+    def kind(self) -> FrameKind:
+        """Which of the three it is."""
+        return next(kind for kind in FRAME_KINDS if getattr(self, kind) is not None)
+
+    @property
+    def name(self) -> str:
+        """The name of the site, body or geom."""
+        return getattr(self, self.kind)
+
+
+class Pose(Model):
+    """A position and an orientation, each optional: what is absent stays as at the start."""
+
+    position: Vector3 | None = None
+    """x, y, z in m."""
+    quaternion: Quaternion | None = None
+    """w, x, y, z; normalised on entry."""

@@ -1,0 +1,159 @@
+"""`Config`: everything that a run is made of, as the YAML file says it."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+
+from rmrc.config.base import (
+    JointName,
+    KeyframeName,
+    Model,
+    Name,
+    NonNegative,
+    Number,
+    Positive,
+    Vector,
+    Weight,
+)
+from rmrc.control.paths import PathConfig
+from rmrc.errors import suggestion
+from rmrc.problem.tasks import Task
+
+Off = Literal["off"]
+
+
+class SolverModel(Model):
+    """Which QP backend solves, and how."""
+
+    backend: str = "daqp"
+    """daqp, proxqp, osqp, or any other solver that qpsolvers offers."""
+    max_iter: Annotated[int, Field(strict=True, ge=1)] | None = None
+    """Most iterations a step may use; by default the backend's own."""
+    tolerance: Positive | None = None
+    """Tolerance handed to the backend; by default one well inside the certificate's."""
+
+
+class DampingModel(Model):
+    """The damping term ½ λ² ‖v‖²."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    lambda_: Annotated[NonNegative, Field(alias="lambda")] = 0.01
+    """λ, in the units of √B·m/rad."""
+
+
+class ToleranceModel(Model):
+    """What `converged` means, at the end of the run."""
+
+    position: Positive = 1e-3
+    """m."""
+    orientation: Positive = 1e-2
+    """rad."""
+
+
+class PositionLimit(Model):
+    """Joints stay inside the model's ranges."""
+
+    margin: NonNegative = 0.0
+    """Distance kept from each end of the range, rad or m."""
+    gain: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    """Share g of the remaining distance that a step may use."""
+
+
+class PerJoint(Model):
+    """A limit for each joint: a default, and others by joint name."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[JointName, Positive] = Field(init=False)
+
+    default: Positive | None = None
+    """For every joint that is not named."""
+
+    @property
+    def named(self) -> dict[str, float]:
+        """The limits of the joints that are named."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+class LimitsModel(Model):
+    """The limits of the joints; `off` removes one that is on by default."""
+
+    position: PositionLimit | Off = PositionLimit()
+    """Position, from the model's ranges; on by default."""
+    velocity: PerJoint | Off = PerJoint()
+    """Velocity in rad/s or m/s; by default π rad/s and 1 m/s."""
+    acceleration: PerJoint | Off = "off"
+    """Acceleration in rad/s² or m/s²; off by default."""
+
+
+class Config(Model):
+    """One run: a scene, a start, tasks with their targets, limits, a solver."""
+
+    scene: str
+    """A MJCF or URDF file, menagerie:NAME or menagerie:NAME/ENTRY."""
+    start: KeyframeName | Vector | dict[JointName, Number] | None = None
+    """Start configuration; by default the keyframe `home` where there is one, else qpos0."""
+    dt: Annotated[Positive, Field(le=10)] = 0.002
+    """Length of a step, s."""
+    duration: Annotated[Positive, Field(le=86400)] = 5.0
+    """Length of the run, s."""
+    method: Literal["qp"] = "qp"
+    """How a step is solved."""
+    follow: Literal["rate"] = "rate"
+    """How a path is followed."""
+    execute: Literal["kinematic"] = "kinematic"
+    """What carries the command out."""
+    solver: SolverModel = SolverModel()
+    """The QP backend."""
+    damping: DampingModel = DampingModel()
+    """The damping term."""
+    metric: Weight | Literal["inertia"] = 0.0
+    """Whitney's A: a number, a diagonal, a matrix, or `inertia`, the model's M(q)."""
+    priority: Literal["soft"] = "soft"
+    """What stands between levels: `soft` multiplies each level's B by `soft_ratio` once more."""
+    soft_ratio: Annotated[Number, Field(gt=0, le=1)] = 1e-3
+    """Ratio of the weights of a level and the one above it."""
+    tolerance: ToleranceModel = ToleranceModel()
+    """What `converged` means."""
+    dofs: Annotated[tuple[JointName, ...], Field(min_length=1)] | None = None
+    """The joints that may move; by default all."""
+    tasks: Annotated[tuple[Task, ...], Field(min_length=1)]
+    """The tasks."""
+    limits: LimitsModel = LimitsModel()
+    """The limits."""
+    targets: dict[Name, PathConfig] = {}
+    """Paths of the tasks' targets, by task; a task without one holds its target of the start."""
+
+    _root: Path = PrivateAttr(default_factory=Path.cwd)
+
+    @property
+    def root(self) -> Path:
+        """The folder that relative paths refer to."""
+        return self._root
+
+    def rooted(self, root: Path) -> "Config":
+        """Return the same configuration with relative paths referring to `root`."""
+        copy = self.model_copy()
+        copy._root = root
+        return copy
+
+    def resolved(self) -> dict[str, Any]:
+        """Return every value, defaults included, as plain YAML would hold it."""
+        return self.model_dump(mode="json", by_alias=True)
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> "Config":
+        names = [task.name for task in self.tasks]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"two tasks are named '{twice[0]}'; names must differ")
+        for name in self.targets:
+            task = next((task for task in self.tasks if task.name == name), None)
+            if task is None:
+                raise ValueError(
+                    f"no task is named '{name}'{suggestion(name, names)}; there is: {', '.join(names)}"
+                )
+            if task.target_kind not in ("pose", "point"):
+                raise ValueError(f"task '{name}' of type {task.type} follows no path")
+        return self

@@ -1,0 +1,1 @@
+"""`Controller`, `Step`, `Status`, the safety ladder, paths and the solve loop."""

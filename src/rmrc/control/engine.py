@@ -1,0 +1,116 @@
+"""The Python engine: evaluate, assemble, solve, certify."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.problem import Problem
+from rmrc.qp.assemble import Assembly
+from rmrc.qp.backends import create
+from rmrc.qp.certificate import Certificate
+from rmrc.qp.program import QP, Solution, SolveStatus
+
+Array = NDArray[np.float64]
+
+CERTIFIED = 1e-6
+"""Largest KKT residual, relative to the largest of 1 and ‖g‖, of a solution that is trusted."""
+
+
+class PythonEngine:
+    """Turns q, v_prev, the targets and dt into a certified `Solution`.
+
+    This engine is the specification; any other must give the same results.
+    """
+
+    name = "python"
+
+    def __init__(self, problem: Problem):
+        solver = problem.config.solver
+        self.problem = problem
+        self.evaluation = Evaluation(problem)
+        self.assembly = Assembly(problem, self.evaluation)
+        self._backend = create(
+            solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance
+        )
+        self._ready = False
+        self.outside = False
+        """Whether a joint was outside its range at the last step."""
+        self._certificate = Certificate(self.assembly.qp)
+
+    def reset(self) -> None:
+        """Forget the last solution, so that the next solve starts cold."""
+        self._ready = False
+
+    def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
+        """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
+
+        The rungs: the full program; the same from a cold start; the box without the rows; a brake,
+        which is the point of the box nearest to rest.
+        """
+        evaluation, assembly = self.evaluation, self.assembly
+        evaluation.v_previous[:] = v_previous
+        evaluation.update(q)
+        evaluation.evaluate()
+        self.outside = assembly.assemble(q, dt)
+        if self.problem.mink_limits:
+            self._set_rows(dt)
+        solution = self._attempt(assembly.qp)
+        if self._trusted(solution):
+            return solution
+        self._ready = False
+        again = self._attempt(assembly.qp)
+        if self._trusted(again):
+            return again
+        self._ready = False
+        return self._fall_back(again)
+
+    def _attempt(self, qp: QP) -> Solution:
+        if self._ready:
+            self._backend.update(qp)
+        else:
+            self._backend.setup(qp)
+            self._ready = True
+        solution = self._backend.solve()
+        self._certificate.certify(solution)
+        return solution
+
+    def _trusted(self, solution: Solution) -> bool:
+        if solution.status is not SolveStatus.SOLVED:
+            return False
+        g = self.assembly.qp.g
+        return solution.kkt.largest <= CERTIFIED * max(1.0, float(np.sqrt(g @ g)))
+
+    def _fall_back(self, failed: Solution) -> Solution:
+        """Return a feasible point: the box's optimum where only the rows failed, else a brake."""
+        qp = self.assembly.qp
+        if qp.C.shape[0]:
+            box = QP(qp.g.size)
+            box.H[:], box.g[:], box.lb[:], box.ub[:] = qp.H, qp.g, qp.lb, qp.ub
+            solver = create("daqp")
+            solver.setup(box)
+            solution = solver.solve()
+            Certificate(box).certify(solution)
+            if self._trusted(solution):
+                solution.status = SolveStatus.FAILED
+                return solution
+        elif failed.status is SolveStatus.MAX_ITER and np.isfinite(failed.v).all():
+            return failed  # the certificate has clipped it into the box
+        failed.v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
+        if not np.isfinite(failed.v).all():
+            failed.v = np.zeros(qp.g.size)
+        if failed.status is SolveStatus.SOLVED:
+            failed.status = SolveStatus.FAILED
+        return failed
+
+    def _set_rows(self, dt: float) -> None:
+        """Take over the rows of mink's limits; their number may change from step to step."""
+        rows = self.assembly.mink_rows(dt)
+        count = 0 if rows is None else rows[1].size
+        if count != self.assembly.qp.C.shape[0]:
+            self.assembly.resize(count)
+            self._certificate = Certificate(self.assembly.qp)
+            self._ready = False
+        if rows is not None:
+            qp = self.assembly.qp
+            qp.C[:], qp.hi[:] = rows
+            qp.lo[:] = -np.inf

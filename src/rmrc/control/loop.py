@@ -1,0 +1,175 @@
+"""The solve loop: a configuration runs from its start to its end, and becomes a `Run`."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.config.mistakes import Mistake, config_error
+from rmrc.config.models import Config
+from rmrc.control.controller import ACTIVE_MULTIPLIER, Controller
+from rmrc.control.paths import Trajectory
+from rmrc.control.step import Status, Step
+from rmrc.errors import ConfigError
+from rmrc.problem.compile import compile
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
+from rmrc.record.manifest import manifest
+from rmrc.record.run import Run
+from rmrc.record.summary import summarize
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+"""Called with the number of steps done and of all."""
+
+STATUSES = [status.name for status in Status]
+PROGRESS_EVERY = 50
+"""Steps between two calls of the progress."""
+
+
+def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
+    """Run a configuration from its start to its end.
+
+    Row k of the run is the state at t_k = k dt before the step that is taken there, k = 0 … N with
+    N dt the duration. An interrupt (Ctrl-C) ends the run; what was done so far is returned.
+
+    Args:
+        config: The configuration, or the problem compiled from it.
+        progress: Called now and then with the number of steps done and of all.
+
+    Raises:
+        ConfigError: If the configuration does not fit its scene.
+    """
+    problem = config if isinstance(config, Problem) else compile(config)
+    controller = Controller(problem)
+    aims = _aims(problem)
+    log = _Log(problem, controller, round(problem.config.duration / problem.dt) + 1)
+    try:
+        for k in range(log.count):
+            if progress is not None and k % PROGRESS_EVERY == 0:
+                progress(k, log.count)
+            now = k * problem.dt
+            for aim in aims:
+                aim.sample(now)
+            begin = time.perf_counter_ns()
+            for aim in aims:
+                aim.set_on(controller)
+            step = controller.step()
+            log.add(k, now, step, time.perf_counter_ns() - begin)
+    except KeyboardInterrupt:
+        log.interrupted = True
+    if progress is not None:
+        progress(log.done, log.count)
+    return log.run()
+
+
+@dataclass(eq=False)
+class _Aim:
+    """One task's target on its path."""
+
+    term: Term
+    path: Trajectory
+    pose: Array
+    twist: Array
+
+    def sample(self, now: float) -> None:
+        self.path.sample(now, self.pose, self.twist)
+
+    def set_on(self, controller: Controller) -> None:
+        twist = self.twist if self.twist.any() else None
+        if self.term.target_kind == "pose":
+            controller.set_target(self.term.name, self.pose[:3], self.pose[3:], twist)
+        else:
+            velocity = None if twist is None else twist[:3]
+            controller.set_target(self.term.name, self.pose[:3], velocity=velocity)
+
+
+def _aims(problem: Problem) -> list[_Aim]:
+    """Build the paths of all targets from where the targets are at the start."""
+    aims, mistakes = [], []
+    for name, model in problem.config.targets.items():
+        term = problem.named(name)
+        start = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        if term.target_kind == "pose":
+            start[:3], start[3:] = term.target[4:], term.target[:4]
+        else:
+            start[:3] = term.target
+        try:
+            path = model.build(start, problem.config.root)
+        except ConfigError as mistake:
+            mistakes.append(Mistake(("targets", name), str(mistake)))
+        else:
+            aims.append(_Aim(term, path, np.empty(7), np.empty(6)))
+    if mistakes:
+        raise config_error(mistakes, problem.config)
+    return aims
+
+
+class _Log:
+    """The rows of a run as they come, in arrays allocated once."""
+
+    def __init__(self, problem: Problem, controller: Controller, count: int):
+        model = problem.model
+        self.problem, self.controller = problem, controller
+        self.count, self.done, self.interrupted = count, 0, False
+        self._q_now = problem.start.copy()
+        self.time = np.zeros(count)
+        self.q = np.zeros((count, model.nq))
+        self.v = np.zeros((count, model.nv))
+        self.status = np.zeros(count, dtype=np.uint8)
+        self.active = np.zeros((count, model.nv), dtype=np.int8)
+        self.kkt = np.zeros(count)
+        self.step_time = np.zeros(count)
+        self.sigma_min = np.zeros(count)
+        self.error = {t.name: np.zeros((count, len(t.units))) for t in problem.terms if t.units}
+
+    def add(self, k: int, now: float, step: Step, nanoseconds: int) -> None:
+        self.time[k], self.q[k], self.v[k] = now, self._q_now, step.v
+        self.status[k] = step.status
+        multiplier = step.solution.bound_multiplier
+        binding = np.where(np.abs(multiplier) > ACTIVE_MULTIPLIER, np.sign(multiplier), 0)
+        self.active[k, self.problem.dofs] = binding
+        self.kkt[k] = step.solution.kkt.largest
+        self.step_time[k] = nanoseconds * 1e-9
+        self.sigma_min[k] = self.controller.engine.assembly.sigma_min()
+        for name, values in self.error.items():
+            values[k] = step.error[name]
+        self._q_now[:] = step.q
+        self.done = k + 1
+
+    def _rows(self) -> Iterator[tuple[str, Array]]:
+        for name in ("time", "q", "v", "status", "sigma_min", "active", "kkt", "step_time"):
+            yield name, getattr(self, name)[: self.done]
+
+    def run(self) -> Run:
+        problem, config = self.problem, self.problem.config
+        rows = dict(self._rows())
+        error = {name: values[: self.done] for name, values in self.error.items()}
+        record = manifest(problem, STATUSES)
+        converging = {
+            term.name: [k for k, counts in enumerate(term.decisive) if counts]
+            for term in problem.terms
+            if term.level == 0 and any(term.decisive)
+        }
+        record["summary"] = summarize(
+            dt=problem.dt,
+            q=rows["q"],
+            v=rows["v"],
+            status=self.status[: self.done],
+            error=error,
+            step_time=rows["step_time"],
+            model=record["model"],
+            tasks=record["tasks"],
+            statuses=STATUSES,
+            engine=self.controller.engine.name,
+            backend=config.solver.backend,
+            method=config.method,
+            tolerance={"m": config.tolerance.position, "rad": config.tolerance.orientation},
+            converging=converging,
+        )
+        record["interrupted"] = self.interrupted
+        if self.interrupted:
+            record["summary"]["converged"] = False
+        return Run(**rows, v_measured=rows["v"].copy(), error=error, manifest=record)

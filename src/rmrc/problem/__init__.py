@@ -1,0 +1,1 @@
+"""Config and MjModel to `Problem`: scenes, tasks, limits; every name is resolved here."""

@@ -1,0 +1,82 @@
+"""`Evaluation`: errors and Jacobians of all terms at one configuration, in buffers kept."""
+
+from collections.abc import Sequence
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
+
+Array = NDArray[np.float64]
+
+
+class Evaluation:
+    """Stacks e, ẋ_ff and J of a problem's terms.
+
+    Terms with rows come first, those of one class together, then the terms on the joints
+    themselves (`Term.joint`), whose J is the identity and is not stored.
+    """
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.model = problem.model
+        self.configuration = mink.Configuration(problem.model, problem.start)
+        self.data = self.configuration.data
+        self._mink = bool(problem.mink_tasks or problem.mink_limits)
+        present = [term for term in problem.terms if term.rows]
+        classes = list(dict.fromkeys(type(t) for t in sorted(present, key=lambda t: t.joint)))
+        groups = [[t for t in present if type(t) is kind] for kind in classes]
+        self.terms: tuple[Term, ...] = tuple(term for group in groups for term in group)
+        """The terms that have an error, in the order of their rows."""
+        ends = np.cumsum([0, *(term.rows for term in self.terms)])
+        self._slices = {
+            term.name: slice(int(a), int(b))
+            for term, a, b in zip(self.terms, ends[:-1], ends[1:], strict=True)
+        }
+        self.row_count = sum(term.rows for term in self.terms if not term.joint)
+        self.jacobian = np.zeros((self.row_count, problem.model.nv))
+        """J of the terms with rows (row_count, nv)."""
+        self.error = np.zeros(int(ends[-1]))
+        """e of all terms."""
+        self.feedforward = np.zeros(int(ends[-1]))
+        """ẋ_ff of all terms."""
+        self.v_previous = np.zeros(problem.model.nv)
+        """The velocity of the step before (nv,)."""
+        self.target = {term.name: term.target.copy() for term in problem.terms}
+        """Present targets by task: wxyz + xyz, a point, a direction, qpos or rates."""
+        self.twist = {term.name: np.zeros(6) for term in problem.terms}
+        """Velocities of the targets (6,), in the axes that their positions are given in."""
+        self.moving: set[str] = set()
+        """The tasks whose target moves, the only ones with a feed-forward."""
+        self._evaluators = [kind.evaluator(group, self) for kind, group in zip(classes, groups)]
+
+    def rows_of(self, terms: Sequence[Term]) -> slice:
+        """Return the rows of e that a run of neighbouring terms fills."""
+        return slice(self._slices[terms[0].name].start, self._slices[terms[-1].name].stop)
+
+    def error_of(self, error: Array, term: Term) -> Array:
+        """Return one term's part of an error vector."""
+        return error[self._slices[term.name]]
+
+    def update(self, q: Array) -> None:
+        """Run the kinematics at q (nq,)."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        if self._mink and self.model.neq:
+            # Tasks of mink's on the model's equalities read the rows that this fills.
+            mujoco.mj_makeConstraint(self.model, self.data)
+
+    def evaluate(self) -> None:
+        """Evaluate every term at the present kinematics and targets."""
+        for evaluate in self._evaluators:
+            evaluate()
+
+    def stop(self, name: str) -> None:
+        """Forget the velocity of a task's target."""
+        if name in self.moving:
+            self.moving.discard(name)
+            self.feedforward[self._slices[name]] = 0.0

@@ -1,0 +1,93 @@
+"""Frames of a MuJoCo model, resolved once: ids, views of their poses, their Jacobian function."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.config.base import Frame, FrameKind
+from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.lie import pose_of
+
+Array = NDArray[np.float64]
+
+OBJECTS: dict[str, mujoco.mjtObj] = {
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "keyframe": mujoco.mjtObj.mjOBJ_KEY,
+}
+_COUNTS = {
+    "site": "nsite",
+    "body": "nbody",
+    "geom": "ngeom",
+    "joint": "njnt",
+    "keyframe": "nkey",
+}
+_JACOBIANS: dict[str, Callable[..., None]] = {
+    "site": mujoco.mj_jacSite,
+    "body": mujoco.mj_jacBody,
+    "geom": mujoco.mj_jacGeom,
+}
+_POSES = {
+    "site": ("site_xpos", "site_xmat"),
+    "body": ("xpos", "xmat"),
+    "geom": ("geom_xpos", "geom_xmat"),
+}
+
+
+def names(model: mujoco.MjModel, kind: str) -> list[str]:
+    """Return the names that the model has of one kind, unnamed things left out."""
+    count = getattr(model, _COUNTS[kind])
+    found = (mujoco.mj_id2name(model, OBJECTS[kind], i) for i in range(count))
+    return [name for name in found if name]
+
+
+def find(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """Return the id of a named thing.
+
+    Raises:
+        ModelError: If the model has no such name; the message lists those it has.
+    """
+    i = mujoco.mj_name2id(model, OBJECTS[kind], name)
+    if i < 0:
+        raise ModelError(unknown_name(kind, name, names(model, kind)))
+    return i
+
+
+@dataclass(frozen=True)
+class FrameHandle:
+    """A site, body or geom of a model by its id."""
+
+    kind: FrameKind
+    id: int
+
+    @property
+    def jacobian(self) -> Callable[..., None]:
+        """MuJoCo's function (model, data, jacp, jacr, id) for the world-axes Jacobian."""
+        return _JACOBIANS[self.kind]
+
+    def views(self, data: mujoco.MjData) -> tuple[Array, Array]:
+        """Return views of the frame's position (3,) and rotation matrix (9,) in the data."""
+        position, matrix = _POSES[self.kind]
+        return getattr(data, position)[self.id], getattr(data, matrix)[self.id]
+
+    def pose_at(self, model: mujoco.MjModel, q: Array) -> Array:
+        """Return the frame's pose (7,), wxyz + xyz, at a configuration (nq,)."""
+        data = mujoco.MjData(model)
+        data.qpos = q
+        mujoco.mj_kinematics(model, data)
+        position, matrix = self.views(data)
+        return np.array(pose_of(matrix, position))
+
+
+def resolve(model: mujoco.MjModel, frame: Frame) -> FrameHandle:
+    """Return the handle of a frame named in a configuration.
+
+    Raises:
+        ModelError: If the model has no such frame.
+    """
+    return FrameHandle(frame.kind, find(model, frame.kind, frame.name))

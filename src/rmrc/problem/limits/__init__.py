@@ -1,0 +1,1 @@
+"""The limits: all limits of one joint become one box in velocity."""

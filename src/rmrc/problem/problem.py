@@ -1,0 +1,75 @@
+"""`Problem`: what a controller solves, with every name resolved."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import mink
+import mujoco
+import numpy as np
+from mink.tasks import BaseTask
+from numpy.typing import NDArray
+
+from rmrc.config.models import Config
+from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.limits.box import Box
+from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.frame import FrameTerm
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A model, the terms of the cost, the limits, and what the step is taken with."""
+
+    config: Config
+    model: mujoco.MjModel
+    start: Array
+    """Start configuration (nq,)."""
+    dt: float
+    """Length of a step, s."""
+    dofs: NDArray[np.intp]
+    """The dofs that may move (n,), the columns of the program."""
+    terms: tuple[Term, ...]
+    metric: Array
+    """The constant part of A (nv, nv)."""
+    inertia: float
+    """The share of M(q) in A."""
+    damping: float
+    """λ."""
+    soft_ratio: float
+    """What multiplies a level's B, once for each level below the highest."""
+    box: Box
+    """The joint limits (n,)."""
+    notices: tuple[str, ...]
+    """What a user should know: defaults at work, and what has no limit."""
+    mink_tasks: tuple[BaseTask, ...] = ()
+    mink_limits: tuple[mink.Limit, ...] = ()
+
+    @cached_property
+    def term(self) -> Mapping[str, Term]:
+        """The terms by name."""
+        return {term.name: term for term in self.terms}
+
+    def named(self, name: str) -> Term:
+        """Return a term by name.
+
+        Raises:
+            ModelError: If there is no such task; the message lists those there are.
+        """
+        try:
+            return self.term[name]
+        except KeyError:
+            raise ModelError(unknown_name("task", name, self.term)) from None
+
+    def forward(self, q: Array) -> dict[str, Array]:
+        """Return the pose (4, 4) in the world of each `frame` task's frame at q (nq,)."""
+        q = np.asarray(q, dtype=float)
+        if q.shape != (self.model.nq,):
+            raise ModelError(f"q has shape {q.shape}, and this model's is ({self.model.nq},)")
+        return {
+            term.name: mink.SE3(term.frame.pose_at(self.model, q)).as_matrix()
+            for term in self.terms
+            if isinstance(term, FrameTerm)
+        }

@@ -1,0 +1,62 @@
+"""Scenes: a MJCF or URDF file, or a robot of the MuJoCo Menagerie, to an `MjModel`."""
+
+import copy
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+
+from rmrc.errors import ModelError, suggestion
+
+MENAGERIE = "menagerie:"
+
+
+def load_model(scene: str, root: Path) -> mujoco.MjModel:
+    """Return the compiled model of a scene.
+
+    Args:
+        scene: A path to a MJCF or URDF file, or menagerie:NAME, or menagerie:NAME/ENTRY.
+        root: The folder that a relative path refers to.
+
+    Raises:
+        ModelError: If there is no such file or robot, or it does not compile.
+    """
+    path = _menagerie_path(scene) if scene.startswith(MENAGERIE) else _file_path(scene, root)
+    return copy.copy(_compiled(path, path.stat().st_mtime_ns))
+
+
+@lru_cache(maxsize=4)
+def _compiled(path: Path, modified: int) -> mujoco.MjModel:
+    """Compile a file once for each version of it; a G1 takes a second."""
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except Exception as failure:  # MuJoCo raises ValueError, and its plugins what they like
+        reason = " ".join(str(failure).split())
+        raise ModelError(f"scene '{path}' does not compile: {reason}") from None
+
+
+def _file_path(scene: str, root: Path) -> Path:
+    path = (root / scene).resolve() if scene else root
+    if not path.is_file():
+        nearby = sorted(p.name for p in path.parent.glob("*.xml")) if path.parent.is_dir() else []
+        have = f"; that folder has: {', '.join(nearby)}" if nearby else ""
+        raise ModelError(f"there is no scene file '{scene}'{suggestion(path.name, nearby)}{have}")
+    return path
+
+
+def _menagerie_path(scene: str) -> Path:
+    name, _, entry = scene.removeprefix(MENAGERIE).partition("/")
+    try:
+        import mujoco_menagerie
+    except ImportError:
+        raise ModelError(
+            f"scene '{scene}' needs the package mujoco-menagerie: pip install 'rmrc[menagerie]'"
+        ) from None
+    try:
+        return mujoco_menagerie.get(name).xml(entry or None)
+    except Exception as failure:  # its own errors, and those of a download
+        reason = " ".join(str(failure).split())
+        raise ModelError(
+            f"scene '{scene}' cannot be had: {reason} "
+            "(without a network, set MENAGERIE_ROOT to a checkout of the Menagerie)"
+        ) from None

@@ -1,0 +1,130 @@
+"""What every task is made of: its model in the configuration and its term in the problem."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rmrc.config.base import Model, Name, Positive, Weight
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
+
+Array = NDArray[np.float64]
+Gain = Positive | Literal["deadbeat"]
+TargetKind = Literal["pose", "point", "direction", "configuration", "rates", "none"]
+
+
+class FieldError(ValueError):
+    """A value that does not fit the model or the task, and the key that holds it."""
+
+    def __init__(self, key: str, message: str):
+        super().__init__(message)
+        self.key = key
+
+
+class TaskModel(Model):
+    """What all tasks share in a configuration."""
+
+    target_kind: ClassVar[TargetKind] = "none"
+
+    name: Name
+    """Name of the task; targets, results and messages refer to it."""
+    B: Weight = 1.0
+    """Weight of the squared error, Whitney's B: a number, a diagonal or a symmetric matrix."""
+    level: Annotated[int, Field(strict=True, ge=0, le=20)] = 0
+    """Priority level; 0 is the highest."""
+
+    def compile(self, model: mujoco.MjModel, start: Array) -> "Term":
+        """Resolve every name and return the task's term.
+
+        Args:
+            model: The MuJoCo model.
+            start: Start configuration (nq,).
+
+        Raises:
+            FieldError: If a value does not fit the model.
+        """
+        raise NotImplementedError
+
+
+class GainedTask(TaskModel):
+    """A task with an error that decays at a gain."""
+
+    gain: Gain = 10.0
+    """Gain K in 1/s of the error's decay, never above 1/dt; `deadbeat` is 1/dt."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One task as the engine sees it: names resolved, weights as arrays.
+
+    A term gives rows J (rows, nv) and an error e (rows,) with de/dt = −J v, so that J v = K e
+    makes the error decay as exp(−K t).
+    """
+
+    name: str
+    type: str
+    level: int
+    gain: float
+    """K in 1/s; infinity is deadbeat, 0 where only the feed-forward drives."""
+    weight: Array
+    """B as a diagonal (rows,) or a matrix (rows, rows)."""
+    target: Array
+    """The target at the start, of size 0 where there is none."""
+
+    target_kind: ClassVar[TargetKind] = "none"
+    units: ClassVar[tuple[str, ...]] = ()
+    """Units of the true errors that `measure` returns."""
+    joint: ClassVar[bool] = False
+    """Whether J is the identity: the weight then goes onto the Hessian, and there are no rows."""
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the error."""
+        return self.weight.shape[0]
+
+    @property
+    def decisive(self) -> tuple[bool, ...]:
+        """Which of the measured errors must be within tolerance for a run to have converged."""
+        return (False,) * len(self.units)
+
+    def measure(self, error: Array) -> Array:
+        """Return the true errors, in `units`, that the task's own error vector e (rows,) stands for."""
+        return np.array([np.sqrt(error @ error)])[: len(self.units)]
+
+    @classmethod
+    def evaluator(cls, terms: "Sequence[Term]", evaluation: "Evaluation") -> "Evaluator":
+        """Return what evaluates all the terms of this class in a problem."""
+        raise NotImplementedError
+
+
+class Evaluator(Protocol):
+    """Writes J, e and the feed-forward of some terms into their rows of an `Evaluation`."""
+
+    def __call__(self) -> None:
+        """Evaluate at the configuration's present kinematics."""
+        ...
+
+
+def weight_array(weight: object, rows: int, key: str = "B") -> Array:
+    """Return a weight as a diagonal (rows,) or a matrix (rows, rows).
+
+    Raises:
+        FieldError: If its size is not the task's.
+    """
+    array = np.asarray(weight, dtype=float)
+    if array.ndim == 0:
+        return np.full(rows, float(array))
+    if array.shape[0] != rows:
+        raise FieldError(key, f"this task has {rows} rows, and B has {array.shape[0]}")
+    return array
+
+
+def gain_value(gain: float | str) -> float:
+    """Return K in 1/s; `deadbeat` is infinite here and 1/dt in the step."""
+    return np.inf if isinstance(gain, str) else gain

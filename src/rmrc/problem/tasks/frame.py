@@ -1,0 +1,258 @@
+"""The `frame` task: the pose of a site, body or geom follows a target pose."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import mujoco
+import numpy as np
+from pydantic import AfterValidator
+
+from rmrc.config.base import Frame, Model, Positive, Weight
+from rmrc.problem.frames import FrameHandle, resolve
+from rmrc.problem.lie import adjoint, inverse, inverse_multiply, jlog, pose_of, rminus, turn_back
+from rmrc.problem.tasks.base import (
+    Array,
+    GainedTask,
+    TargetKind,
+    Term,
+    gain_value,
+    weight_array,
+)
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
+
+
+def _block_weight(weight: object) -> object:
+    if isinstance(weight, tuple):
+        raise ValueError("give a number here; a full diagonal or matrix goes into B itself")
+    return weight
+
+
+BlockWeight = Annotated[Weight, AfterValidator(_block_weight)]
+
+
+class PoseWeight(Model):
+    """Weights of the two halves of a pose error."""
+
+    position: BlockWeight = 1.0
+    """Weight of the squared position error, 1/m²."""
+    orientation: BlockWeight = 1.0
+    """Weight of the squared orientation error, 1/rad²."""
+
+
+class PoseClamp(Model):
+    """Largest error that a pose task acts on; what is beyond is approached at constant speed."""
+
+    position: Positive | None = None
+    """m."""
+    orientation: Positive | None = None
+    """rad."""
+
+
+class PoseTask(GainedTask):
+    """What the tasks on poses share."""
+
+    target_kind: ClassVar[TargetKind] = "pose"
+
+    B: PoseWeight | Weight = PoseWeight()
+    """Weight in the order [position; orientation], or {position: …, orientation: …}."""
+    clamp: PoseClamp = PoseClamp()
+    """Largest error that the task acts on."""
+
+    def pose_weight(self) -> Array:
+        """Return B as (6,) or (6, 6).
+
+        Raises:
+            FieldError: If B has another size.
+        """
+        if isinstance(self.B, PoseWeight):
+            halves = np.array([self.B.position, self.B.orientation], dtype=float)
+            return np.repeat(halves, 3)
+        return weight_array(self.B, 6)
+
+
+class FrameTask(PoseTask):
+    """Bring a frame to a target pose in the world."""
+
+    type: Literal["frame"] = "frame"
+    frame: Frame
+    """The frame that moves."""
+    axes: Literal["body", "world"] = "body"
+    """The axes of the error and of B: the frame's own, or the world's."""
+
+    def compile(self, model: mujoco.MjModel, start: Array) -> "FrameTerm":
+        """Resolve the frame; the target is its pose at the start."""
+        weight = self.pose_weight()
+        handle = resolve(model, self.frame)
+        return FrameTerm(
+            name=self.name,
+            type=self.type,
+            level=self.level,
+            gain=gain_value(self.gain),
+            weight=weight,
+            target=handle.pose_at(model, start),
+            frame=handle,
+            axes=self.axes,
+            clamp=(self.clamp.position or np.inf, self.clamp.orientation or np.inf),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTerm(Term):
+    """What the terms on poses share: targets (7,) as wxyz + xyz, errors as a twist."""
+
+    target_kind: ClassVar[TargetKind] = "pose"
+    units: ClassVar[tuple[str, ...]] = ("m", "rad")
+
+    clamp: tuple[float, float]
+    """Largest error that the task acts on, m and rad; infinite without one."""
+
+    @property
+    def clamped(self) -> bool:
+        """Whether there is a clamp."""
+        return min(self.clamp) < np.inf
+
+    @property
+    def decisive(self) -> tuple[bool, ...]:
+        """A half of the pose counts where it has a weight."""
+        diagonal = self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)
+        return (bool(diagonal[:3].any()), bool(diagonal[3:].any()))
+
+    def measure(self, error: Array) -> Array:
+        """Return the distance in m and the angle in rad that the logarithm e = log(T) stands for.
+
+        The logarithm's first three numbers are not the distance: it is ‖V(ω) ρ‖, with
+        ‖V ρ‖² = (ρ·n)² + (2 sin(θ/2)/θ)² (‖ρ‖² − (ρ·n)²) for the axis n and the angle θ of ω.
+        """
+        rho, omega = error[:3], error[3:6]
+        angle = float(np.sqrt(omega @ omega))
+        length = float(rho @ rho)
+        if angle < 1e-9:
+            return np.array([np.sqrt(length), angle])
+        along = float(rho @ omega / angle) ** 2
+        chord = (2.0 * np.sin(0.5 * angle) / angle) ** 2
+        return np.array([np.sqrt(along + chord * max(length - along, 0.0)), angle])
+
+
+def clamp_twist(error: Array, clamp: tuple[float, float]) -> None:
+    """Shorten the two halves of a twist (6,) in place to at most `clamp` = (m, rad)."""
+    for part, longest in ((error[:3], clamp[0]), (error[3:6], clamp[1])):
+        length = float(np.sqrt(part @ part))
+        if length > longest:
+            part *= longest / length
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTerm(PoseTerm):
+    """Rows of a `frame` task for the frame b and the target t.
+
+    Along the body's axes e = log(T_bt) = −log(T_tb) and J = Jlog(T_tb) J_b, which is mink's
+    FrameTask with both signs turned. Along the world's e = [p_t − p_b; φ] with φ = log(R_t R_bᵀ),
+    and J = [J_p; Jr⁻¹(φ) J_ω].
+    """
+
+    frame: FrameHandle
+    axes: Literal["body", "world"]
+
+    def measure(self, error: Array) -> Array:
+        """Return the distance in m and the angle in rad."""
+        if self.axes == "body":
+            return super().measure(error)
+        return np.sqrt([error[:3] @ error[:3], error[3:6] @ error[3:6]])
+
+    @classmethod
+    def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
+        """Evaluate all frames together: one matrix product turns their Jacobians at once."""
+        return _FrameEvaluator([t for t in terms if isinstance(t, FrameTerm)], evaluation)
+
+
+class _FrameEvaluator:
+    """Evaluates every `frame` term: poses one by one, the 6×6 products stacked."""
+
+    def __init__(self, terms: Sequence[FrameTerm], evaluation: "Evaluation"):
+        count, nv = len(terms), evaluation.model.nv
+        rows = evaluation.rows_of(terms)
+        self._model, self._data = evaluation.model, evaluation.data
+        self._moving = evaluation.moving
+        self._world = np.zeros((count, 6, nv))
+        self._jacobian = evaluation.jacobian[rows].reshape(count, 6, nv)
+        self._error = evaluation.error[rows].reshape(count, 6)
+        self._feedforward = evaluation.feedforward[rows].reshape(count, 6)
+        self._jlog = np.tile(np.eye(6), (count, 1, 1))
+        self._rotation = np.tile(np.eye(6), (count, 1, 1))  # of the world into the error's axes
+        self._transform = np.zeros((count, 6, 6))
+        self._body = []
+        self._in_world = []
+        for k, term in enumerate(terms):
+            position, matrix = term.frame.views(self._data)
+            target = evaluation.target[term.name]
+            shared = (
+                term.frame.jacobian,
+                term.frame.id,
+                self._world[k, :3],
+                self._world[k, 3:],
+                matrix,
+                position,
+                target,
+                self._error[k],
+                self._jlog[k],
+            )
+            if term.axes == "world":
+                self._in_world.append(shared)
+            else:
+                turned = matrix.reshape(3, 3).T
+                self._body.append(
+                    (*shared, self._rotation[k, :3, :3], self._rotation[k, 3:, 3:], turned)
+                )
+        self._clamped = [(self._error[k], t.clamp) for k, t in enumerate(terms) if t.clamped]
+        self._feeds = [
+            (k, t, evaluation.target[t.name], evaluation.twist[t.name], *t.frame.views(self._data))
+            for k, t in enumerate(terms)
+        ]
+
+    def __call__(self) -> None:
+        model, data = self._model, self._data
+        for jac, i, jp, jr, matrix, position, target, error, jl, up, low, turned in self._body:
+            jac(model, data, jp, jr, i)
+            pose = pose_of(matrix, position)
+            error[:] = rminus(target, pose)
+            jl[:] = jlog(inverse_multiply(target, pose))
+            up[:] = turned
+            low[:] = turned
+        for jac, i, jp, jr, matrix, position, target, error, jl in self._in_world:
+            jac(model, data, jp, jr, i)
+            _world_error(target, pose_of(matrix, position), error, jl)
+        np.matmul(self._jlog, self._rotation, out=self._transform)
+        np.matmul(self._transform, self._world, out=self._jacobian)
+        if self._moving:
+            self._feed_forward()
+        for error, clamp in self._clamped:
+            clamp_twist(error, clamp)
+
+    def _feed_forward(self) -> None:
+        """Write what the target's own velocity (v_t, ω_t) adds.
+
+        Along the body's axes Jlog(T_tb) Ad(T_bt) V_t; along the world's [v_t; Jl⁻¹(φ) ω_t], where
+        Jl⁻¹(φ) is the transpose of Jr⁻¹(φ).
+        """
+        for k, term, target, twist, position, matrix in self._feeds:
+            if term.name not in self._moving:
+                continue
+            if term.axes == "world":
+                self._feedforward[k] = self._jlog[k].T @ twist
+            else:
+                relative = inverse_multiply(target, pose_of(matrix, position))
+                moved = adjoint(inverse(relative)) @ turn_back(target, twist)
+                self._feedforward[k] = self._jlog[k] @ moved
+
+
+def _world_error(target: Array, pose: Array, error: Array, jlog_out: Array) -> None:
+    """Write e = [p_t − p_b; φ] and diag(I, Jr⁻¹(φ)) for the rotation φ = log(R_t R_bᵀ)."""
+    np.subtract(target[4:], pose[4:], out=error[:3])
+    turn = np.zeros(7)
+    mujoco.mju_negQuat(turn[:4], pose[:4])
+    mujoco.mju_mulQuat(turn[:4], target[:4], turn[:4].copy())
+    mujoco.mju_quat2Vel(error[3:], turn[:4], 1.0)
+    jlog_out[3:, 3:] = jlog(turn)[3:, 3:]

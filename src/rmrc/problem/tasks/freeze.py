@@ -1,0 +1,41 @@
+"""The `freeze` task: some joints are held still."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rmrc.config.base import JointName
+from rmrc.problem.configuration import dof_of_joint
+from rmrc.problem.tasks.base import Array, TaskModel, Term
+
+
+class FreezeTask(TaskModel):
+    """Hold joints still: v_i = 0, exactly. It has no weight, for it is no cost."""
+
+    type: Literal["freeze"] = "freeze"
+    joints: Annotated[tuple[JointName, ...], Field(min_length=1)]
+    """The joints that are held."""
+
+    def compile(self, model: mujoco.MjModel, start: Array) -> "FreezeTerm":
+        """Resolve the joints."""
+        dofs = np.concatenate([np.atleast_1d(dof_of_joint(model, j)) for j in self.joints])
+        return FreezeTerm(
+            name=self.name,
+            type=self.type,
+            level=self.level,
+            gain=0.0,
+            weight=np.zeros(0),
+            target=start[:0],
+            dofs=dofs,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FreezeTerm(Term):
+    """A `freeze` task: a velocity limit of zero on its dofs, an equality inside the one box."""
+
+    dofs: NDArray[np.intp]

@@ -1,0 +1,37 @@
+"""The `kinetic_energy` task: the motion with the least kinetic energy among equals."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from rmrc.config.base import NonNegative
+from rmrc.problem.tasks.base import Array, TaskModel, Term
+
+
+class KineticEnergyTask(TaskModel):
+    """Keep the kinetic energy ½ vᵀM(q)v low."""
+
+    type: Literal["kinetic_energy"] = "kinetic_energy"
+    B: NonNegative = 1.0
+    """Weight of the kinetic energy, a number."""
+
+    def compile(self, model: mujoco.MjModel, start: Array) -> "KineticEnergyTerm":
+        """Take the weight; the inertia comes with every step."""
+        return KineticEnergyTerm(
+            name=self.name,
+            type=self.type,
+            level=self.level,
+            gain=0.0,
+            weight=np.zeros(0),
+            target=start[:0],
+            inertia=self.B,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class KineticEnergyTerm(Term):
+    """A `kinetic_energy` task: it has no rows, and adds B·M(q) to the metric A."""
+
+    inertia: float

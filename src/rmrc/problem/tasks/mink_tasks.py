@@ -1,0 +1,79 @@
+"""Terms that one of mink's own task objects evaluates."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mink
+import numpy as np
+
+from rmrc.problem.tasks.base import Array, Term
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
+
+
+@dataclass(frozen=True, eq=False)
+class MinkTerm(Term):
+    """A term whose error and Jacobian come from a mink task of unit cost and gain."""
+
+    def task(self) -> mink.Task:
+        """Return a fresh mink task; each engine sets targets on one of its own."""
+        raise NotImplementedError
+
+    def aim(self, task: mink.Task, target: Array) -> None:
+        """Hand the target to the mink task."""
+        raise NotImplementedError
+
+    def feed_forward(
+        self, configuration: mink.Configuration, error: Array, target: Array, twist: Array
+    ) -> Array:
+        """Return ẋ_ff (rows,) for the target's velocity `twist`."""
+        raise NotImplementedError
+
+    def limit_error(self, error: Array) -> None:
+        """Shorten the error in place where the user asked for it."""
+
+    @classmethod
+    def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
+        """Evaluate the terms one by one."""
+        return _MinkEvaluator([t for t in terms if isinstance(t, MinkTerm)], evaluation)
+
+
+class _MinkEvaluator:
+    """Evaluates mink tasks in turn; with unit cost and gain their residual is (J, −e)."""
+
+    def __init__(self, terms: Sequence[MinkTerm], evaluation: "Evaluation"):
+        self._configuration = evaluation.configuration
+        self._moving = evaluation.moving
+        self._entries = []
+        for term in terms:
+            rows = evaluation.rows_of([term])
+            self._entries.append(
+                (
+                    term,
+                    term.task(),
+                    evaluation.target[term.name],
+                    evaluation.jacobian[rows],
+                    evaluation.error[rows],
+                    evaluation.feedforward[rows],
+                    evaluation.twist[term.name],
+                )
+            )
+
+    def __call__(self) -> None:
+        configuration = self._configuration
+        for term, task, target, jacobian, error, feedforward, twist in self._entries:
+            term.aim(task, target)
+            residual = task.compute_qp_residual(configuration)
+            jacobian[:] = residual[0]
+            error[:] = residual[1]
+            if term.name in self._moving:
+                feedforward[:] = term.feed_forward(configuration, error, target, twist)
+            term.limit_error(error)
+
+
+def look_at_units(error: Array) -> Array:
+    """Return the angle in rad between two unit vectors of difference e: 2 asin(‖e‖/2)."""
+    half = 0.5 * float(np.sqrt(error @ error))
+    return np.array([2.0 * np.arcsin(min(half, 1.0))])

@@ -1,0 +1,81 @@
+"""The `posture` task: the joints go to a target configuration."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import mujoco
+import numpy as np
+
+from rmrc.config.base import JointName, KeyframeName, Number, Vector
+from rmrc.problem.configuration import free_dofs, resolve_configuration
+from rmrc.problem.tasks.base import (
+    Array,
+    FieldError,
+    GainedTask,
+    TargetKind,
+    Term,
+    gain_value,
+    weight_array,
+)
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
+
+
+class PostureTask(GainedTask):
+    """Bring the joints to a target configuration; a floating base is left alone."""
+
+    target_kind: ClassVar[TargetKind] = "configuration"
+
+    type: Literal["posture"] = "posture"
+    target: KeyframeName | Vector | dict[JointName, Number] | None = None
+    """A keyframe, all of qpos, or {joint: value}, the rest as at the start; by default the start."""
+
+    def compile(self, model: mujoco.MjModel, start: Array) -> "PostureTerm":
+        """Resolve the target configuration and take the floating base out of the weight."""
+        weight = weight_array(self.B, model.nv)
+        free = free_dofs(model)
+        weight[free] = 0.0
+        if weight.ndim == 2:
+            weight[:, free] = 0.0
+        try:
+            target = resolve_configuration(model, self.target, start)
+        except ValueError as mistake:
+            raise FieldError("target", str(mistake)) from None
+        return PostureTerm(
+            name=self.name,
+            type=self.type,
+            level=self.level,
+            gain=gain_value(self.gain),
+            weight=weight,
+            target=target,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PostureTerm(Term):
+    """A `posture` task: e = q* ⊖ q on the manifold, J = I."""
+
+    target_kind: ClassVar[TargetKind] = "configuration"
+    units: ClassVar[tuple[str, ...]] = ("rad",)
+    joint: ClassVar[bool] = True
+
+    def measure(self, error: Array) -> Array:
+        """Return the norm of the error over the joints that have a weight, rad and m alike."""
+        weighed = (self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)) > 0
+        return np.array([np.linalg.norm(error[weighed])])
+
+    @classmethod
+    def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
+        """Evaluate the terms one by one."""
+        model, qpos = evaluation.model, evaluation.data.qpos
+        entries = [
+            (evaluation.error[evaluation.rows_of([t])], evaluation.target[t.name]) for t in terms
+        ]
+
+        def evaluate() -> None:
+            for error, target in entries:
+                mujoco.mj_differentiatePos(model, error, 1.0, qpos, target)
+
+        return evaluate

@@ -1,0 +1,81 @@
+"""The `velocity` task: the joints track given rates."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import mujoco
+import numpy as np
+
+from rmrc.config.base import JointName, Number
+from rmrc.problem.configuration import dof_of_joint
+from rmrc.problem.tasks.base import Array, FieldError, TargetKind, TaskModel, Term, weight_array
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
+
+
+class VelocityTask(TaskModel):
+    """Track joint rates; joints that are not named are left alone."""
+
+    target_kind: ClassVar[TargetKind] = "rates"
+
+    type: Literal["velocity"] = "velocity"
+    target: dict[JointName, Number]
+    """Rates by joint, rad/s or m/s."""
+
+    def compile(self, model: mujoco.MjModel, start: Array) -> "VelocityTerm":
+        """Resolve the joints; a number B weighs those named, a list or a matrix all dofs."""
+        if not self.target:
+            raise FieldError("target", "name at least one joint and its rate")
+        rates = np.zeros(model.nv)
+        named = np.zeros(model.nv, dtype=bool)
+        for joint, rate in self.target.items():
+            dof = dof_of_joint(model, joint)
+            rates[dof], named[dof] = rate, True
+        weight = weight_array(self.B, model.nv)
+        weight[~named] = 0.0
+        if weight.ndim == 2:
+            weight[:, ~named] = 0.0
+        return VelocityTerm(
+            name=self.name,
+            type=self.type,
+            level=self.level,
+            gain=0.0,
+            weight=weight,
+            target=rates,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityTerm(Term):
+    """A `velocity` task: ẋ = v*, J = I; the error reported is v* − v_prev."""
+
+    target_kind: ClassVar[TargetKind] = "rates"
+    units: ClassVar[tuple[str, ...]] = ("rad/s",)
+    joint: ClassVar[bool] = True
+
+    def measure(self, error: Array) -> Array:
+        """Return the norm of the rates' error over the joints that have a weight."""
+        weighed = (self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)) > 0
+        return np.array([np.linalg.norm(error[weighed])])
+
+    @classmethod
+    def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
+        """Evaluate the terms one by one."""
+        previous = evaluation.v_previous
+        entries = [
+            (
+                evaluation.error[evaluation.rows_of([t])],
+                evaluation.feedforward[evaluation.rows_of([t])],
+                evaluation.target[t.name],
+            )
+            for t in terms
+        ]
+
+        def evaluate() -> None:
+            for error, feedforward, target in entries:
+                np.subtract(target, previous, out=error)
+                feedforward[:] = target
+
+        return evaluate

@@ -1,0 +1,1 @@
+"""The program, its certificate and the backends that solve it."""

@@ -1,0 +1,182 @@
+"""The quadratic program of a step, assembled in place."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.limits.box import BoxLimit
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
+from rmrc.qp.program import QP
+
+Array = NDArray[np.float64]
+
+
+def square_root(weight: Array) -> Array:
+    """Return S with B = SᵀS: of a diagonal element by element, of a matrix by its eigenvectors."""
+    if weight.ndim == 1:
+        return np.sqrt(weight)
+    values, vectors = np.linalg.eigh(weight)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+
+class Assembly:
+    """Writes a problem's program into a `QP` at every step.
+
+    min_v Σ ½ (J v − ẋ)ᵀ B (J v − ẋ) + ½ vᵀ A v + ½ λ² ‖v‖², with ẋ = K e + ẋ_ff, so that
+    H = Σ JᵀBJ + A + λ²I and g = −Σ JᵀB ẋ. The terms with rows go in as W = S J with B = SᵀS, one
+    product WᵀW for all of them; those on the joints themselves add their B as it is.
+    """
+
+    def __init__(self, problem: Problem, evaluation: Evaluation):
+        self._problem, self._evaluation = problem, evaluation
+        self._dofs = problem.dofs
+        self._all = problem.dofs.size == problem.model.nv
+        self.qp = QP(problem.dofs.size, rows=0)
+        self.box = BoxLimit(problem.box)
+        rows = evaluation.row_count
+        self._gain = np.concatenate([np.full(t.rows, t.gain) for t in evaluation.terms] or [[]])
+        self._gain_dt = 0.0
+        self._capped = self._gain.copy()
+        self._rate = np.empty_like(self._gain)
+        self._scale, self._roots = self._row_weights()
+        self._weighted = np.empty((rows, problem.model.nv))
+        self._wanted = np.empty(rows)
+        joint_terms = [term for term in evaluation.terms if term.joint]
+        self._joint_weights = np.array([self._diagonal(term) for term in joint_terms])
+        self._joint_rates = self._rate[rows:].reshape(len(joint_terms), problem.model.nv)
+        self._joint_matrices = [
+            (k, self._leveled(term)) for k, term in enumerate(joint_terms) if term.weight.ndim == 2
+        ]
+        self._constant = self._constant_hessian()
+        self._inertia = np.empty((problem.model.nv, problem.model.nv))
+        self._gradient = np.empty(problem.model.nv)
+
+    def _leveled(self, term: Term) -> Array:
+        """Return B, multiplied by `soft_ratio` once for each level above the term's."""
+        return term.weight * self._problem.soft_ratio**term.level
+
+    def _diagonal(self, term: Term) -> Array:
+        weight = self._leveled(term)
+        return weight if weight.ndim == 1 else np.zeros(weight.shape[0])
+
+    def _row_weights(self) -> tuple[Array, list[tuple[slice, Array]]]:
+        """Return S as a column over all rows, 1 where a full S stands in the list instead."""
+        scale = np.ones((self._evaluation.row_count, 1))
+        roots = []
+        for term in self._evaluation.terms:
+            if term.joint:
+                continue
+            rows, root = self._evaluation.rows_of([term]), square_root(self._leveled(term))
+            if root.ndim == 1:
+                scale[rows, 0] = root
+            else:
+                roots.append((rows, root))
+        return scale, roots
+
+    def _constant_hessian(self) -> Array:
+        """Return A + λ²I + Σ B of the joint terms (n, n), what no configuration changes."""
+        problem = self._problem
+        full = problem.metric + problem.damping**2 * np.eye(problem.model.nv)
+        full += np.diag(self._joint_weights.sum(axis=0)) if len(self._joint_weights) else 0.0
+        for _, matrix in self._joint_matrices:
+            full += matrix
+        return np.ascontiguousarray(full[np.ix_(self._dofs, self._dofs)])
+
+    def assemble(self, q: Array, dt: float) -> bool:
+        """Write the program at q (nq,) for a step of dt; return whether a joint is outside."""
+        self._assemble_objective(dt)
+        if self._problem.mink_tasks:
+            self._add_mink_tasks(dt)
+        v_previous = self._evaluation.v_previous
+        outside = self.box.update(q, v_previous if self._all else v_previous[self._dofs], dt)
+        self.qp.lb[:], self.qp.ub[:] = self.box.bounds
+        return outside
+
+    def _assemble_objective(self, dt: float) -> None:
+        evaluation, qp = self._evaluation, self.qp
+        rows = evaluation.row_count
+        if dt != self._gain_dt:
+            # A gain above 1/dt would step past the target.
+            np.minimum(self._gain, 1.0 / dt, out=self._capped)
+            self._gain_dt = dt
+        rate, weighted, wanted = self._rate, self._weighted, self._wanted
+        np.multiply(self._capped, evaluation.error, out=rate)
+        rate += evaluation.feedforward  # ẋ = K e + ẋ_ff
+        np.multiply(self._scale, evaluation.jacobian, out=weighted)  # W = S J
+        np.multiply(self._scale[:, 0], rate[:rows], out=wanted)  # S ẋ
+        for part, root in self._roots:
+            weighted[part] = root @ weighted[part]
+            wanted[part] = root @ wanted[part]
+        columns = weighted if self._all else weighted[:, self._dofs]
+        np.matmul(columns.T, columns, out=qp.H)  # Σ JᵀBJ
+        qp.H += self._constant  # + A + λ²I + Σ B
+        np.matmul(wanted, columns, out=qp.g)  # Σ JᵀB ẋ
+        if len(self._joint_rates):
+            self._add_joint_rates()
+        if self._problem.inertia:
+            self._add_inertia()
+        np.negative(qp.g, out=qp.g)
+
+    def _add_joint_rates(self) -> None:
+        """Add Σ B ẋ of the terms on the joints."""
+        gradient = self._gradient
+        if len(self._joint_rates) == 1:
+            np.multiply(self._joint_weights[0], self._joint_rates[0], out=gradient)
+        else:
+            np.einsum("kj,kj->j", self._joint_weights, self._joint_rates, out=gradient)
+        for k, matrix in self._joint_matrices:
+            gradient += matrix @ self._joint_rates[k]
+        self.qp.g += gradient if self._all else gradient[self._dofs]
+
+    def _add_inertia(self) -> None:
+        """Add the share of M(q) in the metric."""
+        evaluation = self._evaluation
+        mujoco.mj_makeM(evaluation.model, evaluation.data)
+        mujoco.mj_fullM(evaluation.model, evaluation.data, self._inertia)
+        matrix = self._inertia if self._all else self._inertia[np.ix_(self._dofs, self._dofs)]
+        self.qp.H += self._problem.inertia * matrix
+
+    def _add_mink_tasks(self, dt: float) -> None:
+        """Add mink's tasks, whose variable is Δq = v dt: divided by dt², W Δq ≈ r is W v ≈ r/dt."""
+        qp, dofs = self.qp, self._dofs
+        configuration = self._evaluation.configuration
+        for task in self._problem.mink_tasks:
+            residual = task.compute_qp_residual(configuration)
+            if residual is None:
+                objective = task.compute_qp_objective(configuration)
+                qp.H += objective.H[np.ix_(dofs, dofs)]
+                qp.g += objective.c[dofs] / dt
+                continue
+            columns = residual[0][:, dofs]
+            qp.H += columns.T @ columns
+            qp.H.flat[:: dofs.size + 1] += residual[2]
+            qp.g -= residual[1] @ columns / dt
+
+    def sigma_min(self) -> float:
+        """Return the least singular value of W = S J over the rows that have a weight.
+
+        NaN without any such row. With more dofs than rows it is that of WWᵀ, so that a task that
+        leaves dofs free is not singular for it.
+        """
+        rows = self._weighted[np.any(self._weighted != 0.0, axis=1)]
+        if not rows.size:
+            return np.nan
+        return float(np.linalg.svd(rows[:, self._dofs], compute_uv=False)[-1])
+
+    def resize(self, rows: int) -> None:
+        """Give the program another number of rows; the next solve must set its backend up anew."""
+        old, self.qp = self.qp, QP(self._dofs.size, rows=rows)
+        self.qp.H[:], self.qp.g[:], self.qp.lb[:], self.qp.ub[:] = old.H, old.g, old.lb, old.ub
+
+    def mink_rows(self, dt: float) -> tuple[Array, Array] | None:
+        """Return the rows C v ≤ hi of mink's limits, which say G Δq ≤ h; None without any."""
+        found = []
+        for limit in self._problem.mink_limits:
+            constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
+            if constraint.G is not None and constraint.h is not None:
+                found.append((constraint.G[:, self._dofs], constraint.h / dt))
+        if not found:
+            return None
+        return np.vstack([g for g, _ in found]), np.concatenate([h for _, h in found])

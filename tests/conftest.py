@@ -1,0 +1,25 @@
+"""Fixtures that every test may use: the repository's folders and the Menagerie's robots."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+# The real robots are beside the checkout where there are any; MENAGERIE_ROOT says otherwise.
+MENAGERIE = Path(os.environ.get("MENAGERIE_ROOT") or REPOSITORY.parent / "shared" / "menagerie")
+if MENAGERIE.is_dir():
+    os.environ["MENAGERIE_ROOT"] = str(MENAGERIE)
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    return REPOSITORY
+
+
+@pytest.fixture(scope="session")
+def menagerie() -> Path:
+    """The folder of the Menagerie's robots; the test is skipped, by name, where it is absent."""
+    if not MENAGERIE.is_dir():
+        pytest.skip("needs the Menagerie's robots: set MENAGERIE_ROOT to a checkout")
+    return MENAGERIE
