@@ -96,7 +96,13 @@ def _solve_with_progress(config: Any) -> Any:
     console = Console(stderr=True)
     if not console.is_terminal:
         return rmrc.solve(config)
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         TextColumn("{task.description}"),
@@ -122,9 +128,8 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
     for name, limit in summary["limits"].items():
         if limit["max_violation"]:
             joint = f" ({escape(limit['joint'])})" if limit.get("joint") else ""
-            console.print(
-                f"[red]{name} limit passed by {limit['max_violation']:.3g} {limit['unit']}{joint}[/]"
-            )
+            excess = f"{limit['max_violation']:.3g} {limit['unit']}"
+            console.print(f"[red]{name} limit passed by {excess}{joint}[/]")
     counts = ", ".join(f"{name} {count}" for name, count in summary["status"].items())
     time = summary["step_time_us"]
     verdict = "[green]converged[/]" if summary["converged"] else "[red]not converged[/]"
@@ -137,7 +142,9 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
         console.print("[yellow]interrupted: this is what was done so far[/]")
     for notice in manifest.get("notices", []):
         console.print(f"[dim]note: {escape(notice)}[/]")
-    console.print(f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}")
+    console.print(
+        f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}"
+    )
 
 
 def _add_task(table: Table, name: str, numbers: dict[str, Any]) -> None:

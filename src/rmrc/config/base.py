@@ -36,7 +36,7 @@ class Model(BaseModel):
 
 
 def _plain(value: Any) -> Any:
-    """Turn numpy arrays and scalars into lists and numbers, so that Python callers can pass them."""
+    """Turn numpy arrays and scalars into plain lists and numbers, for callers from Python."""
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
@@ -67,7 +67,8 @@ def _weight(value: Any) -> float | tuple[float, ...] | tuple[tuple[float, ...], 
     eigenvalues = np.linalg.eigvalsh(matrix)
     if eigenvalues[0] < -SEMIDEFINITE_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
         raise ValueError(
-            f"a weight matrix must be positive semi-definite; its least eigenvalue is {eigenvalues[0]:.3g}"
+            "a weight matrix must be positive semi-definite; "
+            f"its least eigenvalue is {eigenvalues[0]:.3g}"
         )
     return tuple(tuple(map(float, row)) for row in rows)
 

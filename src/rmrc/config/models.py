@@ -17,7 +17,7 @@ from rmrc.config.base import (
     Weight,
 )
 from rmrc.control.paths import PathConfig
-from rmrc.errors import suggestion
+from rmrc.errors import unknown_name
 from rmrc.problem.tasks import Task
 
 Off = Literal["off"]
@@ -122,7 +122,7 @@ class Config(Model):
     """The tasks."""
     limits: LimitsModel = LimitsModel()
     """The limits."""
-    targets: dict[Name, PathConfig] = {}
+    targets: dict[Name, PathConfig] = Field(default={})
     """Paths of the tasks' targets, by task; a task without one holds its target of the start."""
 
     _root: Path = PrivateAttr(default_factory=Path.cwd)
@@ -152,7 +152,7 @@ class Config(Model):
             task = next((task for task in self.tasks if task.name == name), None)
             if task is None:
                 raise ValueError(
-                    f"no task is named '{name}'{suggestion(name, names)}; there is: {', '.join(names)}"
+                    unknown_name("task", name, names)
                 )
             if task.target_kind not in ("pose", "point"):
                 raise ValueError(f"task '{name}' of type {task.type} follows no path")

@@ -67,7 +67,9 @@ class Controller:
         if q is not None:
             valid = self._valid(q)
             if valid is None:
-                raise ModelError(f"q must be {self._shape[0]} finite numbers, its quaternions not zero")
+                raise ModelError(
+                    f"q must be {self._shape[0]} finite numbers, its quaternions not zero"
+                )
             self._q = valid.copy()
         else:
             self._q = self.problem.start.copy()
@@ -262,7 +264,7 @@ class Controller:
         return Step(v, q, _INVALID_INPUT, Errors(evaluation, error), solution)
 
     def _valid_dt(self, dt: object) -> bool:
-        return isinstance(dt, (float, int, np.floating)) and 0.0 < dt < np.inf
+        return isinstance(dt, (float, int, np.floating)) and 0.0 < float(dt) < np.inf
 
     def _valid(self, q: ArrayLike) -> Array | None:
         """Return q as an array (nq,) with unit quaternions, or None if it is no configuration."""

@@ -29,9 +29,7 @@ class PythonEngine:
         self.problem = problem
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
-        self._backend = create(
-            solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance
-        )
+        self._backend = create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
         self._ready = False
         self.outside = False
         """Whether a joint was outside its range at the last step."""

@@ -180,8 +180,8 @@ class _Compiler:
                 self._mistakes.append(
                     Mistake(
                         ("limits", "position", "margin"),
-                        f"joint '{name}' has a range of {high - low:.3g}, too short for a margin of "
-                        f"{margin:g} at each end",
+                        f"joint '{name}' has a range of {high - low:.3g}, too short for a margin "
+                        f"of {margin:g} at each end",
                     )
                 )
             dof = model.jnt_dofadr[joint]

@@ -67,7 +67,9 @@ def resolve_configuration(
         return model.key_qpos[find(model, "keyframe", value)].copy()
     if not isinstance(value, Mapping):
         if len(value) != model.nq:
-            raise ValueError(f"qpos of this model has {model.nq} numbers, and these are {len(value)}")
+            raise ValueError(
+                f"qpos of this model has {model.nq} numbers, and these are {len(value)}"
+            )
         return normalized(model, np.array(value, dtype=float))
     q = base.copy()
     for name, coordinate in value.items():

@@ -51,7 +51,7 @@ class Evaluation:
         """Velocities of the targets (6,), in the axes that their positions are given in."""
         self.moving: set[str] = set()
         """The tasks whose target moves, the only ones with a feed-forward."""
-        self._evaluators = [kind.evaluator(group, self) for kind, group in zip(classes, groups)]
+        self._evaluators = [type(group[0]).evaluator(group, self) for group in groups]
 
     def rows_of(self, terms: Sequence[Term]) -> slice:
         """Return the rows of e that a run of neighbouring terms fills."""

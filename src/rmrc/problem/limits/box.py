@@ -55,7 +55,10 @@ class BoxLimit:
         """lb and ub of the last call (2, n)."""
 
     def update(self, q: Array, v_previous: Array, dt: float) -> bool:
-        """Compute the bounds at q (nq,) after v_previous (n,); return whether a joint is outside."""
+        """Compute the bounds at q (nq,) after v_previous (n,).
+
+        Return whether a joint is outside its range.
+        """
         bounds = self.bounds
         outside = False
         if self._ranged:

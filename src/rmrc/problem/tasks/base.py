@@ -34,8 +34,6 @@ class TaskModel(Model):
 
     name: Name
     """Name of the task; targets, results and messages refer to it."""
-    B: Weight = 1.0
-    """Weight of the squared error, Whitney's B: a number, a diagonal or a symmetric matrix."""
     level: Annotated[int, Field(strict=True, ge=0, le=20)] = 0
     """Priority level; 0 is the highest."""
 
@@ -50,6 +48,13 @@ class TaskModel(Model):
             FieldError: If a value does not fit the model.
         """
         raise NotImplementedError
+
+
+class WeightedTask(TaskModel):
+    """A task whose weight may be a number, a diagonal or a matrix."""
+
+    B: Weight = 1.0
+    """Weight of the squared error, Whitney's B: a number, a diagonal or a symmetric matrix."""
 
 
 class GainedTask(TaskModel):
@@ -94,7 +99,7 @@ class Term:
         return (False,) * len(self.units)
 
     def measure(self, error: Array) -> Array:
-        """Return the true errors, in `units`, that the task's own error vector e (rows,) stands for."""
+        """Return the true errors, in `units`, that the error vector e (rows,) stands for."""
         return np.array([np.sqrt(error @ error)])[: len(self.units)]
 
     @classmethod

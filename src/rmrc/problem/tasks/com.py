@@ -9,13 +9,21 @@ import numpy as np
 
 from rmrc.config.base import NameOf, Positive
 from rmrc.problem.frames import find
-from rmrc.problem.tasks.base import Array, GainedTask, TargetKind, Term, gain_value, weight_array
+from rmrc.problem.tasks.base import (
+    Array,
+    GainedTask,
+    TargetKind,
+    Term,
+    WeightedTask,
+    gain_value,
+    weight_array,
+)
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-class ComTask(GainedTask):
+class ComTask(GainedTask, WeightedTask):
     """Bring the centre of mass of the robot to a target point in the world."""
 
     target_kind: ClassVar[TargetKind] = "point"

@@ -15,6 +15,7 @@ from rmrc.problem.tasks.base import (
     GainedTask,
     TargetKind,
     Term,
+    WeightedTask,
     gain_value,
     weight_array,
 )
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-class PostureTask(GainedTask):
+class PostureTask(GainedTask, WeightedTask):
     """Bring the joints to a target configuration; a floating base is left alone."""
 
     target_kind: ClassVar[TargetKind] = "configuration"
 
     type: Literal["posture"] = "posture"
     target: KeyframeName | Vector | dict[JointName, Number] | None = None
-    """A keyframe, all of qpos, or {joint: value}, the rest as at the start; by default the start."""
+    """A keyframe, all of qpos, or {joint: value} on the start; by default the start itself."""
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "PostureTerm":
         """Resolve the target configuration and take the floating base out of the weight."""
@@ -64,7 +65,8 @@ class PostureTerm(Term):
     def measure(self, error: Array) -> Array:
         """Return the norm of the error over the joints that have a weight, rad and m alike."""
         weighed = (self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)) > 0
-        return np.array([np.linalg.norm(error[weighed])])
+        part = error[weighed]
+        return np.array([np.sqrt(part @ part)])
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:

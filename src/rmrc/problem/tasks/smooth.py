@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mujoco
 
-from rmrc.problem.tasks.base import Array, TaskModel, Term, weight_array
+from rmrc.problem.tasks.base import Array, Term, WeightedTask, weight_array
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-class SmoothTask(TaskModel):
+class SmoothTask(WeightedTask):
     """Keep the joint velocity near that of the step before: ‖v − v_prev‖²."""
 
     type: Literal["smooth"] = "smooth"

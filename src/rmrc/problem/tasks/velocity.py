@@ -9,13 +9,13 @@ import numpy as np
 
 from rmrc.config.base import JointName, Number
 from rmrc.problem.configuration import dof_of_joint
-from rmrc.problem.tasks.base import Array, FieldError, TargetKind, TaskModel, Term, weight_array
+from rmrc.problem.tasks.base import Array, FieldError, TargetKind, Term, WeightedTask, weight_array
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-class VelocityTask(TaskModel):
+class VelocityTask(WeightedTask):
     """Track joint rates; joints that are not named are left alone."""
 
     target_kind: ClassVar[TargetKind] = "rates"
@@ -58,7 +58,8 @@ class VelocityTerm(Term):
     def measure(self, error: Array) -> Array:
         """Return the norm of the rates' error over the joints that have a weight."""
         weighed = (self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)) > 0
-        return np.array([np.linalg.norm(error[weighed])])
+        part = error[weighed]
+        return np.array([np.sqrt(part @ part)])
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
