@@ -34,7 +34,7 @@ class BoxLimit:
 
     Position asks for g(q_min − q)/dt ≤ v ≤ g(q_max − q)/dt and, with an acceleration limit a, that
     the joint can still stop: v ≤ −a dt + √(a²dt² + 2a(q_max − q)), mirrored below. Each limit of a
-    higher order (velocity, then acceleration) clips both ends into its own interval. Clipping
+    higher order (stopping, velocity, acceleration) clips both ends into its own interval. Clipping
     keeps their order, so that lb ≤ ub whatever the limits say to each other.
     """
 
@@ -67,9 +67,10 @@ class BoxLimit:
             outside = bool(np.minimum.reduce(bounds, axis=None) < -RANGE_ROUNDING)
             stop = self._stopping(dt) if self._acceleration is not None else None
             bounds *= self._gain / dt
-            if stop is not None:
-                np.minimum(bounds, stop, out=bounds)
             np.negative(bounds[0], out=bounds[0])
+            if stop is not None:
+                np.maximum(bounds, -stop[0], out=bounds)
+                np.minimum(bounds, stop[1], out=bounds)
         else:
             bounds[0], bounds[1] = -np.inf, np.inf
         np.maximum(bounds, self._fastest, out=bounds)
