@@ -158,12 +158,13 @@ def check(
     settings: Settings = None,
 ) -> None:
     """Validate configurations against their models, and say what will bind."""
-    from rmrc.control.loop import check as check_config
+    import rmrc
+    from rmrc.control.check import check as check_config
 
     overrides, mistaken = _overrides(settings), False
     for path in configs:
         try:
-            lines = check_config(path, overrides)
+            lines = check_config(rmrc.load(path, overrides=overrides))
         except RmrcError as mistake:
             mistaken = True
             print(mistake, file=sys.stderr)

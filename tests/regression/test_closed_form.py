@@ -25,7 +25,11 @@ def random_weight(rng: np.random.Generator, size: int) -> np.ndarray:
 @pytest.mark.parametrize("robot", ROBOTS)
 @seed(0)
 @settings(max_examples=25, deadline=None)
-@given(number=st.integers(0, 2**31), damping=st.floats(0.01, 1.0), axes=st.sampled_from(["body", "world"]))
+@given(
+    number=st.integers(0, 2**31),
+    damping=st.floats(0.01, 1.0),
+    axes=st.sampled_from(["body", "world"]),
+)
 def test_step_is_the_closed_form(robot, number, damping, axes, tmp_path_factory) -> None:
     rng = np.random.default_rng(number)
     scene = scene_path(robot, Path(tmp_path_factory.getbasetemp()))
@@ -94,7 +98,9 @@ def test_primal_and_dual_forms_agree_with_the_step(robot, tmp_path) -> None:
     evaluation = controller.engine.evaluation
     jacobian, rate = evaluation.jacobian, 10.0 * evaluation.error
     inverse = np.eye(problem.model.nv) / damping**2
-    dual = inverse @ jacobian.T @ np.linalg.solve(
-        jacobian @ inverse @ jacobian.T + np.linalg.inv(weight), rate
+    dual = (
+        inverse
+        @ jacobian.T
+        @ np.linalg.solve(jacobian @ inverse @ jacobian.T + np.linalg.inv(weight), rate)
     )
     assert np.abs(step.v - dual).max() <= CLOSED_FORM * max(1.0, np.abs(dual).max())

@@ -44,7 +44,7 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     """
     problem = config if isinstance(config, Problem) else compile(config)
     controller = Controller(problem)
-    aims = _aims(problem)
+    aims = build_aims(problem)
     log = _Log(problem, controller, round(problem.config.duration / problem.dt) + 1)
     try:
         for k in range(log.count):
@@ -66,7 +66,7 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
 
 
 @dataclass(eq=False)
-class _Aim:
+class Aim:
     """One task's target on its path."""
 
     term: Term
@@ -75,9 +75,11 @@ class _Aim:
     twist: Array
 
     def sample(self, now: float) -> None:
+        """Look up where the target is at a time from the start, s."""
         self.path.sample(now, self.pose, self.twist)
 
     def set_on(self, controller: Controller) -> None:
+        """Hand the target over."""
         twist = self.twist if self.twist.any() else None
         if self.term.target_kind == "pose":
             controller.set_target(self.term.name, self.pose[:3], self.pose[3:], twist)
@@ -86,7 +88,7 @@ class _Aim:
             controller.set_target(self.term.name, self.pose[:3], velocity=velocity)
 
 
-def _aims(problem: Problem) -> list[_Aim]:
+def build_aims(problem: Problem) -> list[Aim]:
     """Build the paths of all targets from where the targets are at the start."""
     aims, mistakes = [], []
     for name, model in problem.config.targets.items():
@@ -101,7 +103,7 @@ def _aims(problem: Problem) -> list[_Aim]:
         except ConfigError as mistake:
             mistakes.append(Mistake(("targets", name), str(mistake)))
         else:
-            aims.append(_Aim(term, path, np.empty(7), np.empty(6)))
+            aims.append(Aim(term, path, np.empty(7), np.empty(6)))
     if mistakes:
         raise config_error(mistakes, problem.config)
     return aims
@@ -149,9 +151,9 @@ class _Log:
         error = {name: values[: self.done] for name, values in self.error.items()}
         record = manifest(problem, STATUSES)
         converging = {
-            term.name: [k for k, counts in enumerate(term.decisive) if counts]
+            term.name: range(len(term.units))
             for term in problem.terms
-            if term.level == 0 and any(term.decisive)
+            if term.level == 0 and term.decisive
         }
         record["summary"] = summarize(
             dt=problem.dt,

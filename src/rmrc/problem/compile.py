@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config, LimitsModel, PerJoint
-from rmrc.errors import ModelError
+from rmrc.errors import ModelError, SolverError
 from rmrc.problem.configuration import (
     dof_of_joint,
     free_dofs,
@@ -27,6 +27,7 @@ from rmrc.problem.scene import load_model
 from rmrc.problem.tasks.base import FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
+from rmrc.qp.backends import create
 
 Array = NDArray[np.float64]
 Result = TypeVar("Result")
@@ -71,7 +72,7 @@ class _Compiler:
             return make()
         except FieldError as mistake:
             self._mistakes.append(Mistake((*location, mistake.key), str(mistake)))
-        except (ModelError, ValueError) as mistake:
+        except (ModelError, SolverError, ValueError) as mistake:
             self._mistakes.append(Mistake(location, str(mistake)))
         return None
 
@@ -93,6 +94,7 @@ class _Compiler:
         dofs = self._try(("dofs",), lambda: _dofs(model, config.dofs))
         metric = self._try(("metric",), lambda: _metric(model, config))
         box, notices = self._box(model, config.limits, terms)
+        self._try(("solver", "backend"), lambda: create(config.solver.backend))
         self._stop_on_mistakes()
         assert dofs is not None
         assert metric is not None

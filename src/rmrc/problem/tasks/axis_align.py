@@ -51,15 +51,15 @@ class AxisAlignTerm(MinkTerm):
     """Rows of an `axis_align` task, by mink's AxisAlignTask: e = Rᵀt − a."""
 
     target_kind: ClassVar[TargetKind] = "direction"
-    units: ClassVar[tuple[str, ...]] = ("rad",)
+    decisive: ClassVar[bool] = True
 
     frame: FrameHandle
     axis: Array
 
     @property
-    def decisive(self) -> tuple[bool, ...]:
-        """The angle counts."""
-        return (True,)
+    def units(self) -> tuple[str, ...]:
+        """The angle."""
+        return ("rad",)
 
     def measure(self, error: Array) -> Array:
         """Return the angle in rad between the axis and the target."""

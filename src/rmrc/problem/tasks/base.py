@@ -83,8 +83,6 @@ class Term:
     """The target at the start, of size 0 where there is none."""
 
     target_kind: ClassVar[TargetKind] = "none"
-    units: ClassVar[tuple[str, ...]] = ()
-    """Units of the true errors that `measure` returns."""
     joint: ClassVar[bool] = False
     """Whether J is the identity: the weight then goes onto the Hessian, and there are no rows."""
 
@@ -93,10 +91,13 @@ class Term:
         """Number of rows of the error."""
         return self.weight.shape[0]
 
+    decisive: ClassVar[bool] = False
+    """Whether the error must be within tolerance for a run to have converged."""
+
     @property
-    def decisive(self) -> tuple[bool, ...]:
-        """Which of the measured errors must be within tolerance for a run to have converged."""
-        return (False,) * len(self.units)
+    def units(self) -> tuple[str, ...]:
+        """Units of the true errors that `measure` returns; empty where there is none."""
+        return ()
 
     def measure(self, error: Array) -> Array:
         """Return the true errors, in `units`, that the error vector e (rows,) stands for."""

@@ -68,15 +68,15 @@ class ComTerm(Term):
     """Rows of a `com` task: e = c* − c(q) and J = ∂c/∂q, in the world's axes."""
 
     target_kind: ClassVar[TargetKind] = "point"
-    units: ClassVar[tuple[str, ...]] = ("m",)
+    decisive: ClassVar[bool] = True
 
     body: int
     clamp: float
 
     @property
-    def decisive(self) -> tuple[bool, ...]:
-        """The distance counts."""
-        return (True,)
+    def units(self) -> tuple[str, ...]:
+        """The distance."""
+        return ("m",)
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:

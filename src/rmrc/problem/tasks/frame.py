@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import compress
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import mujoco
@@ -104,7 +106,7 @@ class PoseTerm(Term):
     """What the terms on poses share: targets (7,) as wxyz + xyz, errors as a twist."""
 
     target_kind: ClassVar[TargetKind] = "pose"
-    units: ClassVar[tuple[str, ...]] = ("m", "rad")
+    decisive: ClassVar[bool] = True
 
     clamp: tuple[float, float]
     """Largest error that the task acts on, m and rad; infinite without one."""
@@ -114,13 +116,22 @@ class PoseTerm(Term):
         """Whether there is a clamp."""
         return min(self.clamp) < np.inf
 
-    @property
-    def decisive(self) -> tuple[bool, ...]:
-        """A half of the pose counts where it has a weight."""
+    @cached_property
+    def weighed(self) -> tuple[bool, bool]:
+        """Whether the position and the orientation have a weight; a half without one is no error."""
         diagonal = self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)
         return (bool(diagonal[:3].any()), bool(diagonal[3:].any()))
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The distance and the angle, each where it has a weight."""
+        return tuple(compress(("m", "rad"), self.weighed))
+
     def measure(self, error: Array) -> Array:
+        """Return the distance in m and the angle in rad, each where it has a weight."""
+        return self.distances(error)[list(self.weighed)]
+
+    def distances(self, error: Array) -> Array:
         """Return the distance in m and the angle in rad that the logarithm e = log(T) stands for.
 
         The logarithm's first three numbers are not the distance: it is ‖V(ω) ρ‖, with
@@ -156,10 +167,10 @@ class FrameTerm(PoseTerm):
     frame: FrameHandle
     axes: Literal["body", "world"]
 
-    def measure(self, error: Array) -> Array:
+    def distances(self, error: Array) -> Array:
         """Return the distance in m and the angle in rad."""
         if self.axes == "body":
-            return super().measure(error)
+            return super().distances(error)
         return np.sqrt([error[:3] @ error[:3], error[3:6] @ error[3:6]])
 
     @classmethod

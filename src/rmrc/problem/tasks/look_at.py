@@ -50,15 +50,15 @@ class LookAtTerm(MinkTerm):
     """Rows of a `look_at` task, by mink's LookAtTask: e = d̂ − a for the target's direction d̂."""
 
     target_kind: ClassVar[TargetKind] = "point"
-    units: ClassVar[tuple[str, ...]] = ("rad",)
+    decisive: ClassVar[bool] = True
 
     frame: FrameHandle
     axis: Array
 
     @property
-    def decisive(self) -> tuple[bool, ...]:
-        """The angle counts."""
-        return (True,)
+    def units(self) -> tuple[str, ...]:
+        """The angle."""
+        return ("rad",)
 
     def measure(self, error: Array) -> Array:
         """Return the angle in rad between the axis and the target's direction."""

@@ -59,8 +59,12 @@ class PostureTerm(Term):
     """A `posture` task: e = q* ⊖ q on the manifold, J = I."""
 
     target_kind: ClassVar[TargetKind] = "configuration"
-    units: ClassVar[tuple[str, ...]] = ("rad",)
     joint: ClassVar[bool] = True
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The norm over the joints."""
+        return ("rad",)
 
     def measure(self, error: Array) -> Array:
         """Return the norm of the error over the joints that have a weight, rad and m alike."""

@@ -52,8 +52,12 @@ class VelocityTerm(Term):
     """A `velocity` task: ẋ = v*, J = I; the error reported is v* − v_prev."""
 
     target_kind: ClassVar[TargetKind] = "rates"
-    units: ClassVar[tuple[str, ...]] = ("rad/s",)
     joint: ClassVar[bool] = True
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The norm over the joints."""
+        return ("rad/s",)
 
     def measure(self, error: Array) -> Array:
         """Return the norm of the rates' error over the joints that have a weight."""

@@ -1,0 +1,46 @@
+"""What a configuration amounts to, and what will bind, before anything runs."""
+
+import numpy as np
+
+from rmrc.config.models import Config
+from rmrc.control.loop import build_aims
+from rmrc.problem.compile import compile
+from rmrc.problem.configuration import joint_dofs
+from rmrc.problem.limits.box import RANGE_ROUNDING
+from rmrc.problem.problem import Problem
+
+
+def check(config: Config) -> list[str]:
+    """Compile a configuration and build its paths; return what there is to say, a line each.
+
+    Raises:
+        ConfigError: If anything does not fit the scene.
+    """
+    problem = compile(config)
+    aims = build_aims(problem)
+    tasks = ", ".join(f"{term.name} ({term.type}, level {term.level})" for term in problem.terms)
+    lines = [f"{problem.dofs.size} of {problem.model.nv} dofs move; tasks: {tasks}"]
+    late = [aim.term.name for aim in aims if aim.path.duration > config.duration]
+    if late:
+        lines.append(f"the run of {config.duration:g} s ends before the paths of {', '.join(late)}")
+    return [*lines, *_at_limits(problem), *problem.notices]
+
+
+def _at_limits(problem: Problem) -> list[str]:
+    """Return the joints that are at a limit, or outside it, already at the start."""
+    box, model = problem.box, problem.model
+    at = problem.start[box.coordinate]
+    room = np.minimum(at - box.lower, box.upper - at)
+    names = {
+        int(dof): model.joint(joint).name
+        for joint in range(model.njnt)
+        for dof in joint_dofs(model, joint)
+    }
+    outside = [names[int(d)] for d in problem.dofs[room < -RANGE_ROUNDING]]
+    touching = [names[int(d)] for d in problem.dofs[np.abs(room) <= RANGE_ROUNDING]]
+    lines = []
+    if outside:
+        lines.append(f"outside the position limits at the start: {', '.join(outside)}")
+    if touching:
+        lines.append(f"on a position limit at the start: {', '.join(touching)}")
+    return lines
