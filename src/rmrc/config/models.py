@@ -13,11 +13,14 @@ from rmrc.config.base import (
     NonNegative,
     Number,
     Positive,
+    Share,
     Vector,
     Weight,
 )
+from rmrc.config.document import NOWHERE, Document, Location, Place
+from rmrc.config.mistakes import Disagreement
+from rmrc.config.names import disagreements
 from rmrc.control.paths import PathConfig
-from rmrc.errors import unknown_name
 from rmrc.problem.tasks import Task
 
 Off = Literal["off"]
@@ -57,7 +60,7 @@ class PositionLimit(Model):
 
     margin: NonNegative = 0.0
     """Distance kept from each end of the range, rad or m."""
-    gain: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    gain: Share = 0.95
     """Share g of the remaining distance that a step may use."""
 
 
@@ -94,9 +97,9 @@ class Config(Model):
     """A MJCF or URDF file, menagerie:NAME or menagerie:NAME/ENTRY."""
     start: KeyframeName | Vector | dict[JointName, Number] | None = None
     """Start configuration; by default the keyframe `home` where there is one, else qpos0."""
-    dt: Annotated[Positive, Field(le=10)] = 0.002
+    dt: Positive = 0.002
     """Length of a step, s."""
-    duration: Annotated[Positive, Field(le=86400)] = 5.0
+    duration: Positive = 5.0
     """Length of the run, s."""
     method: Literal["qp"] = "qp"
     """How a step is solved."""
@@ -112,7 +115,7 @@ class Config(Model):
     """Whitney's A: a number, a diagonal, a matrix, or `inertia`, the model's M(q)."""
     priority: Literal["soft"] = "soft"
     """What stands between levels: `soft` multiplies each level's B by `soft_ratio` once more."""
-    soft_ratio: Annotated[Number, Field(gt=0, le=1)] = 1e-3
+    soft_ratio: Share = 1e-3
     """Ratio of the weights of a level and the one above it."""
     tolerance: ToleranceModel = ToleranceModel()
     """What `converged` means."""
@@ -126,16 +129,37 @@ class Config(Model):
     """Paths of the tasks' targets, by task; a task without one holds its target of the start."""
 
     _root: Path = PrivateAttr(default_factory=Path.cwd)
+    _document: Document = PrivateAttr(default=NOWHERE)
 
     @property
     def root(self) -> Path:
         """The folder that relative paths refer to."""
         return self._root
 
-    def rooted(self, root: Path) -> "Config":
-        """Return the same configuration with relative paths referring to `root`."""
+    @property
+    def steps(self) -> int:
+        """Number of steps of a run, those at its start and at its end included."""
+        return round(self.duration / self.dt) + 1
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending; `run` if the configuration was built in Python."""
+        place = self._document.place(())
+        return Path(place.file).stem if place is not None else "run"
+
+    @property
+    def document(self) -> Document:
+        """Where the values were written; nowhere if the configuration was built in Python."""
+        return self._document
+
+    def place(self, location: Location, key: bool = False) -> Place | None:
+        """Return the place of a value, or of its key, if it was read from a file."""
+        return self._document.place(location, key)
+
+    def rooted(self, root: Path, document: Document = NOWHERE) -> "Config":
+        """Return the same configuration, as `document` says it in the folder `root`."""
         copy = self.model_copy()
-        copy._root = root
+        copy._root, copy._document = root, document
         return copy
 
     def resolved(self) -> dict[str, Any]:
@@ -144,16 +168,7 @@ class Config(Model):
 
     @model_validator(mode="after")
     def _names_agree(self) -> "Config":
-        names = [task.name for task in self.tasks]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"two tasks are named '{twice[0]}'; names must differ")
-        for name in self.targets:
-            task = next((task for task in self.tasks if task.name == name), None)
-            if task is None:
-                raise ValueError(
-                    unknown_name("task", name, names)
-                )
-            if task.target_kind not in ("pose", "point"):
-                raise ValueError(f"task '{name}' of type {task.type} follows no path")
+        named = ((i, task.name, task.target_kind) for i, task in enumerate(self.tasks))
+        if mistakes := disagreements(named, self.targets):
+            raise Disagreement(mistakes)
         return self

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rmrc.config.models import Config
-from rmrc.control.loop import build_aims
+from rmrc.control.loop import build_aims, unfinished
 from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
@@ -20,10 +20,7 @@ def check(config: Config) -> list[str]:
     aims = build_aims(problem)
     tasks = ", ".join(f"{term.name} ({term.type}, level {term.level})" for term in problem.terms)
     lines = [f"{problem.dofs.size} of {problem.model.nv} dofs move; tasks: {tasks}"]
-    late = [aim.term.name for aim in aims if aim.path.duration > config.duration]
-    if late:
-        lines.append(f"the run of {config.duration:g} s ends before the paths of {', '.join(late)}")
-    return [*lines, *_at_limits(problem), *problem.notices]
+    return [*lines, *_at_limits(problem), *unfinished(aims, config), *problem.notices]
 
 
 def _at_limits(problem: Problem) -> list[str]:

@@ -1,6 +1,5 @@
 """`Controller`: one certified joint velocity a step, whatever comes in."""
 
-import math
 from typing import Literal
 
 import mujoco
@@ -8,17 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.engine import PythonEngine
+from rmrc.control.inputs import Configurations, Targets
 from rmrc.control.step import Errors, Status, Step
 from rmrc.errors import ModelError, unknown_name
-from rmrc.problem.configuration import QPOS_WIDTH, joint_type
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution, SolveStatus
 
 Array = NDArray[np.float64]
 
-ZERO_NORM = 1e-12
-"""A quaternion or a direction shorter than this has no direction."""
 ACTIVE_MULTIPLIER = 1e-7
 """A limit is active where its multiplier is above this share of the largest of 1 and ‖g‖."""
 
@@ -43,16 +39,10 @@ class Controller:
         model = problem.model
         self._model, self._evaluation = model, self.engine.evaluation
         self._all = problem.dofs.size == model.nv
-        self._quaternions = [
-            int(model.jnt_qposadr[joint]) + width - 4
-            for joint in range(model.njnt)
-            if (width := QPOS_WIDTH[joint_type(model, joint)]) > 1
-        ]
-        self._shape = (model.nq,)
+        self._configurations = Configurations(model)
+        self._targets = Targets(self._evaluation, self._configurations)
         self._refused = False
         self._term = dict(problem.term)
-        self._pose = np.empty(7)
-        self._rotation = self._pose[:4]
         self._q = problem.start.copy()
         self._v = np.zeros(model.nv)
         self.reset()
@@ -65,12 +55,12 @@ class Controller:
         """
         evaluation = self._evaluation
         if q is not None:
-            valid = self._valid(q)
+            valid = self._configurations.read(q)
             if valid is None:
                 raise ModelError(
-                    f"q must be {self._shape[0]} finite numbers, its quaternions not zero"
+                    f"q must be {self._configurations.size} finite numbers with no zero quaternion"
                 )
-            self._q = valid.copy()
+            self._q = valid
         else:
             self._q = self.problem.start.copy()
         self._v[:] = 0.0
@@ -97,8 +87,8 @@ class Controller:
             position: Of a pose or a point (3,), m, in the world or in the root's coordinates.
             quaternion: Of a pose (4,), wxyz, of any norm but zero.
             velocity: The target's own velocity as feed-forward: of a pose (6,), linear then
-                angular, m/s and rad/s, in the axes of the position; of a point (3,); or the joint
-                rates (nv,) of a `velocity` task.
+                angular, m/s and rad/s, in the axes of the position; of a point (3,), m/s; of a
+                direction (3,), rad/s; or the rates (nv,) of a `velocity` task.
             q: Configuration (nq,) of a `posture` task.
             direction: Direction (3,) of an `axis_align` task.
 
@@ -106,101 +96,10 @@ class Controller:
             ModelError: If there is no such task.
         """
         term = self._term.get(name) or self.problem.named(name)
-        try:
-            accepted = self._accept(term, position, quaternion, velocity, q, direction)
-        except (TypeError, ValueError):  # not numbers, or of another shape
-            accepted = False
+        accepted = self._targets.take(term, position, quaternion, velocity, q, direction)
         if not accepted:
             self._refused = True
         return accepted
-
-    def _accept(
-        self,
-        term: Term,
-        position: ArrayLike | None,
-        quaternion: ArrayLike | None,
-        velocity: ArrayLike | None,
-        q: ArrayLike | None,
-        direction: ArrayLike | None,
-    ) -> bool:
-        """Write a target if all of it is valid; the last good one stays as it is otherwise."""
-        kind, name = term.target_kind, term.name
-        if kind == "pose":
-            if q is not None or direction is not None:
-                return False
-            return self._accept_pose(name, position, quaternion, velocity)
-        wrong = {
-            "point": (quaternion, q, direction),
-            "direction": (position, quaternion, velocity, q),
-            "configuration": (position, quaternion, velocity, direction),
-            "rates": (position, quaternion, q, direction),
-            "none": (position, quaternion, velocity, q, direction),
-        }[kind]
-        if any(value is not None for value in wrong):
-            return False
-        if kind == "rates":
-            return self._write(name, velocity)
-        if kind == "configuration":
-            valid = None if q is None else self._valid(q)
-            return valid is not None and self._write(name, valid)
-        if kind == "direction":
-            length = float(np.linalg.norm(np.asarray(direction, dtype=float)))
-            return length > ZERO_NORM and self._write(name, np.asarray(direction) / length)
-        moving = None if velocity is None else np.asarray(velocity, dtype=float)
-        if moving is not None and (moving.shape != (3,) or not np.isfinite(moving).all()):
-            return False
-        if not self._write(name, position):
-            return False
-        if moving is not None:
-            self._evaluation.twist[name][:3] = moving
-            self._evaluation.moving.add(name)
-        return True
-
-    def _write(self, name: str, value: ArrayLike | None) -> bool:
-        """Write a whole target, at rest, if it is finite and of the target's shape."""
-        target = self._evaluation.target[name]
-        new = np.asarray(value, dtype=float)
-        if new.shape != target.shape or not np.isfinite(new).all():
-            return False
-        target[:] = new
-        self._evaluation.stop(name)
-        return True
-
-    def _accept_pose(
-        self,
-        name: str,
-        position: ArrayLike | None,
-        quaternion: ArrayLike | None,
-        velocity: ArrayLike | None,
-    ) -> bool:
-        evaluation, new = self._evaluation, self._pose
-        new[:] = evaluation.target[name]
-        if position is not None:
-            if len(position) != 3:  # type: ignore[arg-type]
-                return False
-            new[4:] = position
-        if quaternion is not None:
-            if len(quaternion) != 4:  # type: ignore[arg-type]
-                return False
-            rotation = self._rotation
-            rotation[:] = quaternion
-            norm = math.sqrt(rotation @ rotation)
-            if not ZERO_NORM < norm < np.inf:
-                return False
-            rotation /= norm
-        if not new @ new < np.inf:
-            return False
-        if velocity is None:
-            evaluation.target[name][:] = new
-            evaluation.stop(name)
-            return True
-        twist = np.array(velocity, dtype=float)
-        if twist.shape != (6,) or not np.isfinite(twist).all():
-            return False
-        evaluation.target[name][:] = new
-        evaluation.twist[name][:] = twist
-        evaluation.moving.add(name)
-        return True
 
     def step(self, q: ArrayLike | None = None, dt: float | None = None) -> Step:
         """Return the command for the next step of dt seconds.
@@ -209,7 +108,7 @@ class Controller:
             q: Measured configuration (nq,); by default the one that the last command led to.
             dt: Length of the step, s; by default the problem's.
         """
-        valid = self._q if q is None else self._valid(q)
+        valid = self._q if q is None else self._configurations.read(q)
         if dt is None:
             dt = self.problem.dt
         if valid is None or not self._valid_dt(dt):
@@ -239,7 +138,7 @@ class Controller:
         if self.engine.outside:
             flags |= _RECOVERING
         z = solution.bound_multiplier
-        if z @ z > ACTIVE_MULTIPLIER**2:
+        if z.dot(z) > ACTIVE_MULTIPLIER**2:
             flags |= _LIMITED
         return flags
 
@@ -265,19 +164,3 @@ class Controller:
 
     def _valid_dt(self, dt: object) -> bool:
         return isinstance(dt, (float, int, np.floating)) and 0.0 < float(dt) < np.inf
-
-    def _valid(self, q: ArrayLike) -> Array | None:
-        """Return q as an array (nq,) with unit quaternions, or None if it is no configuration."""
-        try:
-            array = np.array(q, dtype=float)
-        except (TypeError, ValueError):
-            return None
-        if array.shape != self._shape or not array @ array < np.inf:
-            return None
-        for first in self._quaternions:
-            quaternion = array[first : first + 4]
-            norm = math.sqrt(quaternion @ quaternion)
-            if norm < ZERO_NORM:
-                return None
-            quaternion /= norm
-        return array

@@ -1,8 +1,9 @@
 """The solve loop: a configuration runs from its start to its end, and becomes a `Run`."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     problem = config if isinstance(config, Problem) else compile(config)
     controller = Controller(problem)
     aims = build_aims(problem)
-    log = _Log(problem, controller, round(problem.config.duration / problem.dt) + 1)
+    log = _Log(problem, controller, unfinished(aims, problem.config))
     try:
         for k in range(log.count):
             if progress is not None and k % PROGRESS_EVERY == 0:
@@ -109,11 +110,23 @@ def build_aims(problem: Problem) -> list[Aim]:
     return aims
 
 
+def unfinished(aims: Sequence[Aim], config: Config) -> list[str]:
+    """Return what there is to say about paths that are longer than the run."""
+    late = [aim for aim in aims if aim.path.duration > config.duration + 0.5 * config.dt]
+    return [
+        f"the run of {config.duration:g} s ends before the path of '{aim.term.name}', "
+        f"which takes {aim.path.duration:g} s"
+        for aim in late
+    ]
+
+
 class _Log:
     """The rows of a run as they come, in arrays allocated once."""
 
-    def __init__(self, problem: Problem, controller: Controller, count: int):
+    def __init__(self, problem: Problem, controller: Controller, unfinished: list[str]):
         model = problem.model
+        count = problem.config.steps
+        self._unfinished = unfinished
         self.problem, self.controller = problem, controller
         self.count, self.done, self.interrupted = count, 0, False
         self._q_now = problem.start.copy()
@@ -141,13 +154,10 @@ class _Log:
         self._q_now[:] = step.q
         self.done = k + 1
 
-    def _rows(self) -> Iterator[tuple[str, Array]]:
-        for name in ("time", "q", "v", "status", "sigma_min", "active", "kkt", "step_time"):
-            yield name, getattr(self, name)[: self.done]
-
     def run(self) -> Run:
         problem, config = self.problem, self.problem.config
-        rows = dict(self._rows())
+        names = ("time", "q", "v", "status", "sigma_min", "active", "kkt", "step_time")
+        rows: dict[str, Any] = {name: getattr(self, name)[: self.done] for name in names}
         error = {name: values[: self.done] for name, values in self.error.items()}
         record = manifest(problem, STATUSES)
         converging = {
@@ -159,7 +169,7 @@ class _Log:
             dt=problem.dt,
             q=rows["q"],
             v=rows["v"],
-            status=self.status[: self.done],
+            status=rows["status"],
             error=error,
             step_time=rows["step_time"],
             model=record["model"],
@@ -172,6 +182,7 @@ class _Log:
             converging=converging,
         )
         record["interrupted"] = self.interrupted
-        if self.interrupted:
+        record["notices"] = [*self._unfinished, *record["notices"]]
+        if self.interrupted or self._unfinished:
             record["summary"]["converged"] = False
         return Run(**rows, v_measured=rows["v"].copy(), error=error, manifest=record)

@@ -34,6 +34,8 @@ Result = TypeVar("Result")
 
 HINGE_SPEED = np.pi
 """Cap in rad/s of a joint without a stated velocity limit."""
+MOST_STEPS = 10_000_000
+"""Steps of a run, whose arrays are allocated at its start."""
 SLIDE_SPEED = 1.0
 """Cap in m/s of a joint without a stated velocity limit."""
 
@@ -87,6 +89,12 @@ class _Compiler:
         model = self._try(("scene",), lambda: load_model(config.scene, config.root))
         self._stop_on_mistakes()
         assert model is not None
+        if config.duration > MOST_STEPS * config.dt:
+            self._mistakes.append(
+                Mistake(
+                    ("duration",), f"a run has at most {MOST_STEPS:,} steps of dt; make dt longer"
+                )
+            )
         start = self._try(("start",), lambda: start_configuration(model, config))
         self._stop_on_mistakes()
         assert start is not None

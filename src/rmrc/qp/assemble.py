@@ -40,11 +40,15 @@ class Assembly:
         self._gain_dt = 0.0
         self._capped = self._gain.copy()
         self._rate = np.empty_like(self._gain)
+        self._row_rate = self._rate[:rows]
+        self._fed = any(term.joint and not term.gain for term in evaluation.terms)
         self._scale, self._roots = self._row_weights()
+        self._minus_scale = -self._scale[:, 0]
         self._weighted = np.empty((rows, problem.model.nv))
-        self._wanted = np.empty(rows)
+        self._unwanted = np.empty(rows)
         joint_terms = [term for term in evaluation.terms if term.joint]
         self._joint_weights = np.array([self._diagonal(term) for term in joint_terms])
+        self._minus_joint_weights = -self._joint_weights
         self._joint_rates = self._rate[rows:].reshape(len(joint_terms), problem.model.nv)
         self._joint_matrices = [
             (k, self._leveled(term)) for k, term in enumerate(joint_terms) if term.weight.ndim == 2
@@ -91,43 +95,42 @@ class Assembly:
             self._add_mink_tasks(dt)
         v_previous = self._evaluation.v_previous
         outside = self.box.update(q, v_previous if self._all else v_previous[self._dofs], dt)
-        self.qp.lb[:], self.qp.ub[:] = self.box.bounds
+        self.qp.lb[:], self.qp.ub[:] = self.box.lower, self.box.upper
         return outside
 
     def _assemble_objective(self, dt: float) -> None:
         evaluation, qp = self._evaluation, self.qp
-        rows = evaluation.row_count
         if dt != self._gain_dt:
             # A gain above 1/dt would step past the target.
             np.minimum(self._gain, 1.0 / dt, out=self._capped)
             self._gain_dt = dt
-        rate, weighted, wanted = self._rate, self._weighted, self._wanted
-        np.multiply(self._capped, evaluation.error, out=rate)
-        rate += evaluation.feedforward  # ẋ = K e + ẋ_ff
+        weighted, unwanted = self._weighted, self._unwanted
+        np.multiply(self._capped, evaluation.error, out=self._rate)
+        if self._fed or evaluation.moving:
+            self._rate += evaluation.feedforward  # ẋ = K e + ẋ_ff
         np.multiply(self._scale, evaluation.jacobian, out=weighted)  # W = S J
-        np.multiply(self._scale[:, 0], rate[:rows], out=wanted)  # S ẋ
+        np.multiply(self._minus_scale, self._row_rate, out=unwanted)  # −S ẋ
         for part, root in self._roots:
             weighted[part] = root @ weighted[part]
-            wanted[part] = root @ wanted[part]
+            unwanted[part] = root @ unwanted[part]
         columns = weighted if self._all else weighted[:, self._dofs]
-        np.matmul(columns.T, columns, out=qp.H)  # Σ JᵀBJ
+        columns.T.dot(columns, qp.H)  # Σ JᵀBJ
         qp.H += self._constant  # + A + λ²I + Σ B
-        np.matmul(wanted, columns, out=qp.g)  # Σ JᵀB ẋ
+        unwanted.dot(columns, qp.g)  # −Σ JᵀB ẋ
         if len(self._joint_rates):
             self._add_joint_rates()
         if self._problem.inertia:
             self._add_inertia()
-        np.negative(qp.g, out=qp.g)
 
     def _add_joint_rates(self) -> None:
-        """Add Σ B ẋ of the terms on the joints."""
+        """Subtract Σ B ẋ of the terms on the joints."""
         gradient = self._gradient
         if len(self._joint_rates) == 1:
-            np.multiply(self._joint_weights[0], self._joint_rates[0], out=gradient)
+            np.multiply(self._minus_joint_weights[0], self._joint_rates[0], out=gradient)
         else:
-            np.einsum("kj,kj->j", self._joint_weights, self._joint_rates, out=gradient)
+            np.einsum("kj,kj->j", self._minus_joint_weights, self._joint_rates, out=gradient)
         for k, matrix in self._joint_matrices:
-            gradient += matrix @ self._joint_rates[k]
+            gradient -= matrix @ self._joint_rates[k]
         self.qp.g += gradient if self._all else gradient[self._dofs]
 
     def _add_inertia(self) -> None:

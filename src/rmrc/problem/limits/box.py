@@ -39,53 +39,71 @@ class BoxLimit:
     """
 
     def __init__(self, box: Box):
-        n = box.lower.shape[0]
-        self._coordinate = box.coordinate
-        self._range = np.stack([box.lower, box.upper])
-        self._sign = np.array([[-1.0], [1.0]])
-        self._gain = box.gain
+        n = box.lower.size
+        # Both ends stand in one vector [lb; ub], so that each limit is one call over 2n numbers.
+        self._coordinate = np.tile(box.coordinate, 2)
+        self._range = np.concatenate([box.lower, box.upper])
         self._ranged = bool(np.isfinite(self._range).any())
-        self._velocity = box.velocity
-        self._fastest = -box.velocity
-        self._acceleration = box.acceleration if np.isfinite(box.acceleration).any() else None
-        # Where there is no acceleration limit, the stopping distance must stay out of ∞ − ∞.
-        self._braking = np.where(np.isfinite(box.acceleration), box.acceleration, 0.0)
-        self._unbraked = ~np.isfinite(box.acceleration)
-        self.bounds = np.empty((2, n))
-        """lb and ub of the last call (2, n)."""
+        self._gain = box.gain
+        self._rate = np.empty(2 * n)
+        self._rate_dt = 0.0
+        self._fastest = np.tile(box.velocity, 2)
+        self._slowest = -self._fastest
+        self._stops = box.acceleration if np.isfinite(box.acceleration).any() else None
+        self._bounds = np.empty(2 * n)
+        self._product = np.empty(n)
+        self.lower, self.upper = self._bounds[:n], self._bounds[n:]
+        """lb and ub (n,) of the last update, rad/s or m/s."""
 
     def update(self, q: Array, v_previous: Array, dt: float) -> bool:
         """Compute the bounds at q (nq,) after v_previous (n,).
 
         Return whether a joint is outside its range.
         """
-        bounds = self.bounds
-        outside = False
+        bounds, outside = self._bounds, False
         if self._ranged:
+            if dt != self._rate_dt:
+                self._rate.fill(self._gain / dt)
+                self._rate_dt = dt
             np.subtract(self._range, q[self._coordinate], out=bounds)
-            bounds *= self._sign  # the room left on each side, negative when outside
-            outside = bool(np.minimum.reduce(bounds, axis=None) < -RANGE_ROUNDING)
-            stop = self._stopping(dt) if self._acceleration is not None else None
-            bounds *= self._gain / dt
-            np.negative(bounds[0], out=bounds[0])
+            # The ends have the same sign where q is not between them.
+            np.multiply(self.lower, self.upper, out=self._product)
+            if np.maximum.reduce(self._product) > 0.0:
+                outside = self._is_outside()
+            stop = None if self._stops is None else self._stopping(self._stops, dt)
+            np.multiply(bounds, self._rate, out=bounds)
             if stop is not None:
-                np.maximum(bounds, -stop[0], out=bounds)
+                np.maximum(bounds, stop[0], out=bounds)
                 np.minimum(bounds, stop[1], out=bounds)
         else:
-            bounds[0], bounds[1] = -np.inf, np.inf
-        np.maximum(bounds, self._fastest, out=bounds)
-        np.minimum(bounds, self._velocity, out=bounds)
-        if self._acceleration is not None:
-            change = self._acceleration * dt
-            np.maximum(bounds, v_previous - change, out=bounds)
-            np.minimum(bounds, v_previous + change, out=bounds)
+            self.lower.fill(-np.inf)
+            self.upper.fill(np.inf)
+        np.maximum(bounds, self._slowest, out=bounds)
+        np.minimum(bounds, self._fastest, out=bounds)
+        if self._stops is not None:
+            change = self._stops * dt
+            np.maximum(bounds, np.tile(v_previous - change, 2), out=bounds)
+            np.minimum(bounds, np.tile(v_previous + change, 2), out=bounds)
         return outside
 
-    def _stopping(self, dt: float) -> Array:
-        """Return the speeds (2, n) from which each joint can stop in the room it has left."""
-        step = self._braking * dt
-        with np.errstate(invalid="ignore"):
-            speed = np.sqrt(step**2 + 2.0 * self._braking * np.maximum(self.bounds, 0.0)) - step
-        # No room at all: out of the range, the position limit alone says how fast to come back.
-        speed[:, self._unbraked] = np.inf
-        return np.where(self.bounds < 0.0, np.inf, speed)
+    def _is_outside(self) -> bool:
+        rounding = RANGE_ROUNDING
+        return bool((self.lower > rounding).any() or (self.upper < -rounding).any())
+
+    def _stopping(self, acceleration: Array, dt: float) -> tuple[Array, Array]:
+        """Return the velocities (2n,) from which each joint can still stop in the room it has.
+
+        √(a²dt² + 2a r) − a dt for the room r, written so that it is exact for a small one. A joint
+        outside its range on that side has no room to stop in: the position limit alone says how
+        fast it comes back.
+        """
+        limited = np.where(np.isfinite(acceleration), acceleration, 0.0)
+        step = limited * dt
+        speeds = []
+        for room in (-self.lower, self.upper):
+            reach = 2.0 * limited * np.where(np.isfinite(room), np.maximum(room, 0.0), 0.0)
+            root = np.sqrt(step**2 + reach) + step
+            speed = np.divide(reach, root, out=np.zeros_like(root), where=root > 0.0)
+            bound = np.isfinite(acceleration) & np.isfinite(room) & (room >= 0.0)
+            speeds.append(np.where(bound, speed, np.inf))
+        return np.tile(-speeds[0], 2), np.tile(speeds[1], 2)

@@ -12,7 +12,7 @@ from pydantic import AfterValidator
 
 from rmrc.config.base import Frame, Model, Positive, Weight
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.lie import adjoint, inverse, inverse_multiply, jlog, pose_of, rminus, turn_back
+from rmrc.problem.lie import inverse_multiply, jlog, pose_of, rminus
 from rmrc.problem.tasks.base import (
     Array,
     GainedTask,
@@ -118,7 +118,7 @@ class PoseTerm(Term):
 
     @cached_property
     def weighed(self) -> tuple[bool, bool]:
-        """Whether the position and the orientation have a weight; a half without one is no error."""
+        """Whether the position and the orientation have a weight."""
         diagonal = self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)
         return (bool(diagonal[:3].any()), bool(diagonal[3:].any()))
 
@@ -180,25 +180,21 @@ class FrameTerm(PoseTerm):
 
 
 class _FrameEvaluator:
-    """Evaluates every `frame` term: poses one by one, the 6×6 products stacked."""
+    """Evaluates every `frame` term: poses one by one, the products with the Jacobians stacked."""
 
     def __init__(self, terms: Sequence[FrameTerm], evaluation: "Evaluation"):
         count, nv = len(terms), evaluation.model.nv
         rows = evaluation.rows_of(terms)
         self._model, self._data = evaluation.model, evaluation.data
         self._moving = evaluation.moving
-        self._world = np.zeros((count, 6, nv))
+        self._world = np.zeros((count, 6, nv))  # J in the world's axes
+        self._transform = np.tile(np.eye(6), (count, 1, 1))  # what turns it into the error's rate
         self._jacobian = evaluation.jacobian[rows].reshape(count, 6, nv)
         self._error = evaluation.error[rows].reshape(count, 6)
         self._feedforward = evaluation.feedforward[rows].reshape(count, 6)
-        self._jlog = np.tile(np.eye(6), (count, 1, 1))
-        self._rotation = np.tile(np.eye(6), (count, 1, 1))  # of the world into the error's axes
-        self._transform = np.zeros((count, 6, 6))
-        self._body = []
-        self._in_world = []
+        self._body, self._in_world = [], []
         for k, term in enumerate(terms):
             position, matrix = term.frame.views(self._data)
-            target = evaluation.target[term.name]
             shared = (
                 term.frame.jacobian,
                 term.frame.id,
@@ -206,37 +202,41 @@ class _FrameEvaluator:
                 self._world[k, 3:],
                 matrix,
                 position,
-                target,
+                evaluation.target[term.name],
                 self._error[k],
-                self._jlog[k],
             )
             if term.axes == "world":
-                self._in_world.append(shared)
+                self._in_world.append((*shared, self._transform[k, 3:, 3:]))
             else:
-                turned = matrix.reshape(3, 3).T
-                self._body.append(
-                    (*shared, self._rotation[k, :3, :3], self._rotation[k, 3:, 3:], turned)
-                )
+                halves = self._transform[k].reshape(12, 3)
+                self._body.append((*shared, matrix.reshape(3, 3).T, halves))
         self._clamped = [(self._error[k], t.clamp) for k, t in enumerate(terms) if t.clamped]
         self._feeds = [
-            (k, t, evaluation.target[t.name], evaluation.twist[t.name], *t.frame.views(self._data))
+            (
+                k,
+                t,
+                evaluation.target[t.name],
+                evaluation.twist[t.name],
+                t.frame.views(self._data)[0],
+            )
             for k, t in enumerate(terms)
         ]
 
     def __call__(self) -> None:
         model, data = self._model, self._data
-        for jac, i, jp, jr, matrix, position, target, error, jl, up, low, turned in self._body:
+        for jac, i, jp, jr, matrix, position, target, error, turned, halves in self._body:
             jac(model, data, jp, jr, i)
             pose = pose_of(matrix, position)
             error[:] = rminus(target, pose)
-            jl[:] = jlog(inverse_multiply(target, pose))
-            up[:] = turned
-            low[:] = turned
-        for jac, i, jp, jr, matrix, position, target, error, jl in self._in_world:
+            # Jlog diag(Rᵀ, Rᵀ): each half of a row of Jlog is turned by Rᵀ.
+            jlog(inverse_multiply(target, pose)).reshape(12, 3).dot(turned, halves)
+        for jac, i, jp, jr, matrix, position, target, error, angular in self._in_world:
             jac(model, data, jp, jr, i)
-            _world_error(target, pose_of(matrix, position), error, jl)
-        np.matmul(self._jlog, self._rotation, out=self._transform)
-        np.matmul(self._transform, self._world, out=self._jacobian)
+            _world_error(target, pose_of(matrix, position), error, angular)
+        if len(self._world) == 1:  # `dot` takes half the time of a `matmul` this small
+            self._transform[0].dot(self._world[0], self._jacobian[0])
+        else:
+            np.matmul(self._transform, self._world, out=self._jacobian)
         if self._moving:
             self._feed_forward()
         for error, clamp in self._clamped:
@@ -245,25 +245,26 @@ class _FrameEvaluator:
     def _feed_forward(self) -> None:
         """Write what the target's own velocity (v_t, ω_t) adds.
 
-        Along the body's axes Jlog(T_tb) Ad(T_bt) V_t; along the world's [v_t; Jl⁻¹(φ) ω_t], where
-        Jl⁻¹(φ) is the transpose of Jr⁻¹(φ).
+        Along the body's axes it is what the frame would have to do to move with the target as one
+        rigid body, (v_t + ω_t × (p_b − p_t), ω_t). Along the world's it is [v_t; Jl⁻¹(φ) ω_t],
+        where Jl⁻¹(φ) is the transpose of Jr⁻¹(φ).
         """
-        for k, term, target, twist, position, matrix in self._feeds:
+        for k, term, target, twist, position in self._feeds:
             if term.name not in self._moving:
                 continue
             if term.axes == "world":
-                self._feedforward[k] = self._jlog[k].T @ twist
+                self._feedforward[k] = self._transform[k].T @ twist
             else:
-                relative = inverse_multiply(target, pose_of(matrix, position))
-                moved = adjoint(inverse(relative)) @ turn_back(target, twist)
-                self._feedforward[k] = self._jlog[k] @ moved
+                rigid = twist.copy()
+                rigid[:3] += np.cross(twist[3:], position - target[4:])
+                self._feedforward[k] = self._transform[k] @ rigid
 
 
-def _world_error(target: Array, pose: Array, error: Array, jlog_out: Array) -> None:
-    """Write e = [p_t − p_b; φ] and diag(I, Jr⁻¹(φ)) for the rotation φ = log(R_t R_bᵀ)."""
+def _world_error(target: Array, pose: Array, error: Array, angular: Array) -> None:
+    """Write e = [p_t − p_b; φ] and Jr⁻¹(φ) for the rotation φ = log(R_t R_bᵀ)."""
     np.subtract(target[4:], pose[4:], out=error[:3])
     turn = np.zeros(7)
     mujoco.mju_negQuat(turn[:4], pose[:4])
     mujoco.mju_mulQuat(turn[:4], target[:4], turn[:4].copy())
     mujoco.mju_quat2Vel(error[3:], turn[:4], 1.0)
-    jlog_out[3:, 3:] = jlog(turn)[3:, 3:]
+    angular[:] = jlog(turn)[3:, 3:]

@@ -1,0 +1,89 @@
+"""Names in a configuration: those of the MuJoCo model, and those of its own tasks."""
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from typing import Any
+
+import mujoco
+
+from rmrc.config.annotations import bare, choose, entries, inside, members, tag_key
+from rmrc.config.base import NameKind, NameOf
+from rmrc.config.document import Location
+from rmrc.config.mistakes import MOST_MISTAKES, Mistake, clipped
+from rmrc.errors import unknown_name
+from rmrc.problem.frames import names
+
+Named = tuple[Location, NameKind, str, bool]
+"""Where a name is, of what, the name, and whether it is a key."""
+
+FOLLOWING = ("pose", "point")
+"""The kinds of targets that can follow a path."""
+
+
+def names_in(annotation: Any, value: Any, location: Location = ()) -> Iterator[Named]:
+    """Yield every name of the model in data, which may have any other mistake.
+
+    Args:
+        annotation: The type that the data is meant for.
+        value: Plain data.
+        location: Where it is.
+    """
+    yield from _named(annotation, value, location, False)
+    if members(annotation) or tag_key(annotation):
+        member = choose(annotation, value)
+        if member is not None:
+            yield from names_in(member, value, location)
+        return
+    for step, child in entries(value):
+        below = inside(annotation, step)
+        if below is not None:
+            key, wanted = below
+            yield from _named(key, step, (*location, step), True)
+            yield from names_in(wanted, child, (*location, step))
+
+
+def _named(annotation: Any, value: Any, location: Location, at_key: bool) -> Iterator[Named]:
+    if isinstance(value, str):
+        for item in bare(annotation)[1]:
+            if isinstance(item, NameOf):
+                yield location, item.kind, value, at_key
+
+
+def unknown_names(annotation: Any, value: Any, model: mujoco.MjModel) -> list[Mistake]:
+    """Return the names in data that the model does not have, as far as a reader wants to know."""
+    known: dict[str, dict[str, None]] = {}
+    wrong = (
+        Mistake(location, unknown_name(kind, clipped(name), known[kind]), at_key)
+        for location, kind, name, at_key in names_in(annotation, value)
+        if name not in known.setdefault(kind, dict.fromkeys(names(model, kind)))
+    )
+    return list(islice(wrong, MOST_MISTAKES + 1))
+
+
+def disagreements(tasks: Iterable[tuple[int, str, str]], targets: Iterable[str]) -> list[Mistake]:
+    """Return what does not fit together in the names of tasks and targets.
+
+    Args:
+        tasks: Position, name and kind of target of each task.
+        targets: The names that have a path.
+    """
+    mistakes = []
+    first: dict[str, tuple[int, str]] = {}
+    for index, name, kind in tasks:
+        if name in first:
+            mistakes.append(
+                Mistake(
+                    ("tasks", index, "name"),
+                    f"two tasks are named '{clipped(name)}', and names must differ",
+                    other=("tasks", first[name][0], "name"),
+                )
+            )
+        first.setdefault(name, (index, kind))
+    for name in targets:
+        if name not in first:
+            message = unknown_name("task", clipped(name), first)
+            mistakes.append(Mistake(("targets", name), message, key=True))
+        elif first[name][1] not in FOLLOWING:
+            message = f"the task '{name}' follows no path: its type has no pose and no point"
+            mistakes.append(Mistake(("targets", name), message, key=True))
+    return mistakes

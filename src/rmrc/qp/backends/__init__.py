@@ -1,0 +1,105 @@
+"""The QP solvers behind one interface, and the table of those that have a file of their own."""
+
+from abc import ABC, abstractmethod
+from importlib import import_module
+from math import inf, isfinite
+
+from rmrc.errors import SolverError
+from rmrc.qp.polish import Polish
+from rmrc.qp.program import QP, Solution, SolveStatus
+
+BACKENDS = {
+    "daqp": ("rmrc.qp.backends.daqp", "DAQP"),
+    "proxqp": ("rmrc.qp.backends.proxqp", "ProxQP"),
+    "osqp": ("rmrc.qp.backends.osqp", "OSQP"),
+}
+"""Module and class of each first-class backend: to add one, write its file and its line here."""
+
+NO_POINT = (SolveStatus.INFEASIBLE, SolveStatus.FAILED)
+"""Statuses whose v means nothing: OSQP leaves 2 143 289 344 in it, the bits of a float32 NaN."""
+
+
+class Backend(ABC):
+    """A QP solver that keeps its workspace and starts each solve from the last solution.
+
+    `setup` and `update` read the buffers of a `QP`; `solve` answers, and never raises for what the
+    numbers hold. After any other answer than SOLVED the solver is set up anew before it is used
+    again: a bad warm start does not persist. A subclass implements `_load`, `_refresh` and `_run`,
+    and says whether its solver ends at the optimum or near it, to be polished.
+    """
+
+    def __init__(self, *, polished: bool) -> None:
+        self._polished = polished
+        self._polish: Polish | None = None
+        self._qp: QP | None = None
+        self._refusal: SolveStatus | None = None
+        self._spoiled = False
+
+    def setup(self, qp: QP) -> None:
+        """Read all of `qp` and forget what came before."""
+        self._qp, self._spoiled = qp, False
+        self._polish = Polish(qp) if self._polished else None
+        self._refusal = qp.defect() or self._load(qp)
+
+    def update(self, qp: QP) -> None:
+        """Read what has changed in the buffers of `qp`; a `QP` other than the last is set up."""
+        if qp is not self._qp or self._spoiled or self._refusal is not None:
+            self.setup(qp)
+        else:
+            self._refusal = qp.defect() or self._refresh(qp)
+
+    def solve(self) -> Solution:
+        """Return the solution of the program as it was last read.
+
+        Raises SolverError before the first `setup`.
+        """
+        qp = self._qp
+        if qp is None:
+            raise SolverError("a backend needs setup() before solve()")
+        if self._spoiled:
+            self.setup(qp)
+        if self._refusal is not None:
+            return Solution.at_rest(qp, self._refusal)
+        solution = self._run(qp)
+        if solution.status in NO_POINT:
+            solution = Solution.at_rest(qp, solution.status, solution.iterations)
+        elif not isfinite(solution.v.dot(solution.v)):
+            solution = Solution.at_rest(qp, SolveStatus.FAILED, solution.iterations)
+        elif self._polish is not None:
+            solution = self._polish.improve(solution)
+        self._spoiled = solution.status is not SolveStatus.SOLVED
+        return solution
+
+    @abstractmethod
+    def _load(self, qp: QP) -> SolveStatus | None:
+        """Build the solver's workspace; return why that cannot be, or None."""
+
+    @abstractmethod
+    def _refresh(self, qp: QP) -> SolveStatus | None:
+        """Hand the buffers to the workspace that is there; return why that cannot be, or None."""
+
+    @abstractmethod
+    def _run(self, qp: QP) -> Solution:
+        """Solve what was handed over."""
+
+
+def create(name: str, *, max_iter: int | None = None, tolerance: float | None = None) -> Backend:
+    """Return the backend of that name, one of `BACKENDS` or any solver qpsolvers has installed.
+
+    `max_iter` (≥ 1) bounds the iterations of a solve and `tolerance` (> 0) is the solver's own
+    absolute tolerance; None is what the backend needs for KKT residuals of 1e-8. Raises
+    SolverError for an unknown name, a solver that is not installed, or a setting out of range.
+    """
+    if max_iter is not None and max_iter < 1:
+        raise SolverError(f"max_iter must be at least 1, not {max_iter}")
+    if tolerance is not None and not 0.0 < tolerance < inf:
+        raise SolverError(f"tolerance must be positive and finite, not {tolerance}")
+    if name not in BACKENDS:
+        from rmrc.qp.backends.qpsolvers_adapter import QpsolversAdapter
+
+        return QpsolversAdapter(name, max_iter, tolerance)
+    module, backend = BACKENDS[name]
+    try:
+        return getattr(import_module(module), backend)(max_iter, tolerance)
+    except ImportError as error:
+        raise SolverError(f"the QP backend '{name}' cannot be imported: {error}") from error

@@ -1,0 +1,88 @@
+"""DAQP, a dual active-set method (Arnström, Bemporad and Axehill 2022): the default backend."""
+
+from ctypes import c_int
+
+import daqp
+import numpy as np
+
+from rmrc.qp.backends import Backend
+from rmrc.qp.program import QP, Solution, SolveStatus
+
+INFINITY = 1e30
+"""DAQP's infinity: IEEE's, at a bound that was active before, makes a warm start go wrong."""
+EQUALITY = 5
+"""What marks a row as an equality in DAQP's `sense`."""
+STATUS = {
+    1: SolveStatus.SOLVED,
+    4: SolveStatus.SOLVED,  # but for rounding: the certificate tells by how much
+    -1: SolveStatus.INFEASIBLE,
+    -4: SolveStatus.MAX_ITER,
+    -6: SolveStatus.INFEASIBLE,  # equalities that contradict each other
+    -7: SolveStatus.TIME_LIMIT,
+}
+"""DAQP's exit flags; any other is a failure."""
+
+
+class DAQP(Backend):
+    """DAQP's persistent `Model`, which starts from the active set of the last solve.
+
+    The bounds are the first n of its limits, the rows C and E the rest. Its tolerance is the
+    distance by which it lets a limit be passed: 1e-6 of its own accord, 1e-12 here.
+    """
+
+    def __init__(self, max_iter: int | None = None, tolerance: float | None = None) -> None:
+        super().__init__(polished=False)
+        self._settings = {
+            "primal_tol": 1e-12 if tolerance is None else tolerance,
+            # DAQP stops in front of the iteration of this number.
+            "iter_limit": (10_000 if max_iter is None else max_iter) + 1,
+        }
+
+    def _load(self, qp: QP) -> SolveStatus | None:
+        n, rows = qp.g.size, qp.lo.size
+        size = n + rows + qp.f.size
+        self._lower, self._upper, cap = np.full((3, size), INFINITY)
+        self._limits = [
+            (low, high, cap[part], -cap[part], self._lower[part], self._upper[part])
+            for low, high, part in (
+                (qp.lb, qp.ub, slice(n)),
+                (qp.lo, qp.hi, slice(n, n + rows)),
+                (qp.f, qp.f, slice(n + rows, size)),
+            )
+            if low.size
+        ]
+        self._rows = np.empty((size - n, n))
+        sense = np.zeros(size, c_int)
+        sense[n + rows :] = EQUALITY
+        self._copy(qp)
+        self._model = daqp.Model()
+        self._model.settings = self._settings
+        flag, _ = self._model.setup(qp.H, qp.g, self._rows, self._upper, self._lower, sense)
+        return None if flag > 0 else STATUS.get(flag, SolveStatus.FAILED)
+
+    def _refresh(self, qp: QP) -> SolveStatus | None:
+        self._copy(qp)
+        # Without `sense` DAQP keeps its active set; a matrix of no rows it would refuse.
+        rows = self._rows if self._rows.size else None
+        flag = self._model.update(qp.H, qp.g, rows, self._upper, self._lower)
+        return None if flag == 0 else STATUS.get(flag, SolveStatus.FAILED)
+
+    def _copy(self, qp: QP) -> None:
+        """Stack the limits, and the rows, into the arrays that the model points to."""
+        for low, high, cap, floor, lower, upper in self._limits:
+            np.maximum(low, floor, out=lower)
+            np.minimum(high, cap, out=upper)
+        if self._rows.size:
+            rows = qp.lo.size
+            self._rows[:rows], self._rows[rows:] = qp.C, qp.E
+
+    def _run(self, qp: QP) -> Solution:
+        v, _, flag, info = self._model.solve()
+        status = STATUS.get(flag, SolveStatus.FAILED)
+        if status is not SolveStatus.SOLVED:
+            # A dual method has no velocity to offer before its last iteration.
+            return Solution.at_rest(qp, status, info["iterations"])
+        n, m, multiplier = qp.g.size, qp.g.size + qp.lo.size, info["lam"]
+        return Solution(
+            v, multiplier[:n], multiplier[n:m], multiplier[m:], info["iterations"], status
+        )

@@ -1,0 +1,97 @@
+"""The joints' coordinates as scalars over time, each with its name, unit and limits."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_AXES = ("x", "y", "z")
+_PER_SECOND = {"velocity": "/s", "acceleration": "/s²"}
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One scalar of the run, values (N,), with the limits it should stay inside (±∞: none)."""
+
+    name: str
+    unit: str
+    values: Array
+    lower: float
+    upper: float
+
+    @property
+    def excess(self) -> Array:
+        """How far the values are outside their limits (N,), 0 inside."""
+        return np.maximum(0.0, np.maximum(self.lower - self.values, self.values - self.upper))
+
+    @property
+    def bounded(self) -> bool:
+        """Whether both limits are there, so that the values are a share of a range."""
+        return bool(np.isfinite(self.upper - self.lower)) and self.upper > self.lower
+
+
+def positions(model: dict[str, Any], q: Array) -> list[Channel]:
+    """Return the positions of all joints.
+
+    A hinge or slide is its coordinate, a ball its rotation angle in [0, π], a free joint
+    x, y, z and its rotation angle.
+
+    Args:
+        model: The manifest's `model`.
+        q: Configurations (N, nq).
+    """
+    channels = []
+    for joint in model["joints"]:
+        first, lower, upper = joint["qpos"], *(joint["range"] or (-np.inf, np.inf))
+        name = joint["name"]
+        if joint["type"] == "ball":
+            angle = _rotation_angle(q[:, first : first + 4])
+            channels.append(Channel(f"{name} angle", "rad", angle, -upper, upper))
+        elif joint["type"] == "free":
+            channels += [
+                Channel(f"{name} {axis}", "m", q[:, first + i], -np.inf, np.inf)
+                for i, axis in enumerate(_AXES)
+            ]
+            angle = _rotation_angle(q[:, first + 3 : first + 7])
+            channels.append(Channel(f"{name} angle", "rad", angle, -np.inf, np.inf))
+        else:
+            channels.append(Channel(name, joint["unit"], q[:, first], lower, upper))
+    return channels
+
+
+def rates(
+    model: dict[str, Any], values: Array, bound: Literal["velocity", "acceleration"]
+) -> list[Channel]:
+    """Return the velocities or accelerations of all degrees of freedom, in their order.
+
+    Args:
+        model: The manifest's `model`; a joint's `velocity` or `acceleration` is its largest rate,
+            null where there is none; for a free joint a pair, of its linear and its angular part.
+        values: Velocities or accelerations (N, nv).
+        bound: Which of the two.
+    """
+    channels = []
+    for joint in model["joints"]:
+        per_second, first = _PER_SECOND[bound], joint["dof"]
+        largest = joint.get(bound) or np.inf
+        if joint["type"] == "ball":
+            parts = [(f" r{axis}", "rad", largest) for axis in _AXES]
+        elif joint["type"] == "free":
+            linear, angular = largest if isinstance(largest, list) else (largest, largest)
+            parts = [(f" {axis}", "m", linear or np.inf) for axis in _AXES]
+            parts += [(f" r{axis}", "rad", angular or np.inf) for axis in _AXES]
+        else:
+            parts = [("", joint["unit"], largest)]
+        channels += [
+            Channel(joint["name"] + part, unit + per_second, values[:, first + i], -cap, cap)
+            for i, (part, unit, cap) in enumerate(parts)
+        ]
+    return channels
+
+
+def _rotation_angle(quaternions: Array) -> Array:
+    """Return the angles (N,) of rotations given as quaternions wxyz (N, 4)."""
+    return 2.0 * np.arctan2(np.linalg.norm(quaternions[:, 1:], axis=1), np.abs(quaternions[:, 0]))

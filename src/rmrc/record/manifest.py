@@ -1,0 +1,74 @@
+"""The manifest of a run: what was run, by which versions, and the model's joints and limits."""
+
+import hashlib
+import json
+import platform
+from importlib.metadata import version
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rmrc.problem.configuration import joint_dofs, joint_type
+from rmrc.problem.problem import Problem
+
+PACKAGES = ("rmrc", "mujoco", "mink", "numpy", "daqp", "proxsuite", "osqp", "qpsolvers")
+
+_TYPES = {
+    mujoco.mjtJoint.mjJNT_FREE: ("free", None),
+    mujoco.mjtJoint.mjJNT_BALL: ("ball", "rad"),
+    mujoco.mjtJoint.mjJNT_SLIDE: ("slide", "m"),
+    mujoco.mjtJoint.mjJNT_HINGE: ("hinge", "rad"),
+}
+
+
+def manifest(problem: Problem, statuses: list[str]) -> dict[str, Any]:
+    """Return everything of a run's manifest but its summary."""
+    config = problem.config.resolved()
+    text = json.dumps(config, sort_keys=True)
+    return {
+        "name": problem.config.name,
+        "config": config,
+        "config_hash": hashlib.sha256(text.encode()).hexdigest(),
+        "root": str(problem.config.root),
+        "versions": {"python": platform.python_version()}
+        | {package: version(package) for package in PACKAGES},
+        "seed": 0,
+        "statuses": statuses,
+        "notices": list(problem.notices),
+        "model": _model(problem),
+        "tasks": {
+            term.name: {"type": term.type, "units": list(term.units)}
+            for term in problem.terms
+            if term.units
+        },
+    }
+
+
+def _model(problem: Problem) -> dict[str, Any]:
+    model = problem.model
+    velocity, acceleration = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
+    velocity[problem.dofs] = problem.box.velocity
+    acceleration[problem.dofs] = problem.box.acceleration
+    joints = []
+    for joint in range(model.njnt):
+        kind, unit = _TYPES[joint_type(model, joint)]
+        first = joint_dofs(model, joint)[0]
+        limited = bool(model.jnt_limited[joint]) and kind != "free"
+        joints.append(
+            {
+                "name": model.joint(joint).name or f"joint {joint}",
+                "type": kind,
+                "qpos": int(model.jnt_qposadr[joint]),
+                "dof": int(first),
+                "unit": unit,
+                "range": model.jnt_range[joint].tolist() if limited else None,
+                "velocity": _finite(velocity[first]),
+                "acceleration": _finite(acceleration[first]),
+            }
+        )
+    return {"nq": model.nq, "nv": model.nv, "joints": joints}
+
+
+def _finite(value: np.float64) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,231 @@
+"""A run as panels of plots: plain data that the report's script draws."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.record.channels import Channel, positions, rates
+
+if TYPE_CHECKING:
+    from rmrc.record.run import Run
+
+Array = NDArray[np.float64]
+
+# Points that a trace may have, and that all traces of a panel may have together: a screen is
+# about 2000 pixels wide, and a browser redraws 150 000 points without a pause.
+TRACE_POINTS = 4000
+PANEL_POINTS = 120_000
+# Cells that a strip may have along time.
+STRIP_CELLS = 2000
+
+# From calm to alarming; a status that is not here is drawn in the last colour.
+STATUS_COLOURS = {
+    "OK": "#4c9f70",
+    "LIMITED": "#5b8def",
+    "SCALED": "#38a3a5",
+    "DAMPED": "#8f7ee7",
+    "RECOVERING": "#d9b13b",
+    "RELAXED": "#e08e45",
+    "STUCK": "#b5763a",
+    "MAX_ITER": "#e2703a",
+    "DEADLINE": "#d1495b",
+    "STALE": "#b23a6b",
+    "INVALID_INPUT": "#8b1e3f",
+}
+_BOUND_COLOURS = {"lower bound": "#38a3a5", "upper bound": "#e08e45"}
+
+
+def status_colour(name: str) -> str:
+    """Return the colour of a status."""
+    return STATUS_COLOURS.get(name, STATUS_COLOURS["INVALID_INPUT"])
+
+
+def step_length(time: Array) -> float:
+    """Return the usual length of a step in s, 0 where there are fewer than two."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+
+
+def panels(run: "Run") -> dict[str, Any]:
+    """Return what the report draws: the time axis and the panels from top to bottom."""
+    drawn = [
+        *_error_panels(run),
+        _joint_panel(run, "Joint positions", positions(run.manifest["model"], run.q)),
+        _velocity_panel(run),
+        _status_panel(run),
+        _active_panel(run),
+        _line_panel(run, "Largest KKT residual", "", {"residual": run.kkt}),
+        _line_panel(run, "Smallest singular value σ_min", "", {"σ_min": run.sigma_min}, log=False),
+        _step_time_panel(run),
+    ]
+    return {
+        "time": _packed(run.time),
+        "range": [float(run.time[0]), _end(run.time)] if len(run.time) else [0.0, 1.0],
+        "panels": [panel for panel in drawn if panel is not None],
+    }
+
+
+def extreme_rows(values: Array, limit: int) -> NDArray[np.intp]:
+    """Return at most `limit` rows, in order, that keep the extremes of every stretch of a curve.
+
+    The rows are the first, the last, and the least and the greatest value of each of
+    (limit − 2)/2 stretches of equal length; all rows where there are no more than `limit`.
+
+    Args:
+        values: The curve (N,); NaN is never an extreme.
+        limit: At least 4.
+    """
+    rows = len(values)
+    if rows <= limit:
+        return np.arange(rows)
+    length = -(-rows // ((limit - 2) // 2))
+    # The last stretch is filled up with its last value, which is a row of its own anyway.
+    stretches = np.pad(values, (0, -rows % length), mode="edge").reshape(-1, length)
+    starts = np.arange(len(stretches)) * length
+    least = starts + np.where(np.isnan(stretches), np.inf, stretches).argmin(axis=1)
+    greatest = starts + np.where(np.isnan(stretches), -np.inf, stretches).argmax(axis=1)
+    return np.unique(np.concatenate([[0], least, greatest, [rows - 1]]).clip(max=rows - 1))
+
+
+def _end(time: Array) -> float:
+    """Return the end of the last step, s; a run of one step is drawn as a second."""
+    return float(time[-1]) + (step_length(time) or 1.0)
+
+
+def _packed(values: NDArray[Any]) -> str:
+    """Return an array as base64 of little-endian 32-bit floats, as the script unpacks it."""
+    with np.errstate(over="ignore"):
+        return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode("ascii")
+
+
+def _trace(run: "Run", name: str, values: Array, limit: int, **more: Any) -> dict[str, Any]:
+    """Return one curve, downsampled; without `x` it has a point at every time of the run."""
+    rows = extreme_rows(values, limit)
+    x = {"x": _packed(run.time[rows])} if len(rows) < len(values) else {}
+    return {"name": name, **x, "y": _packed(values[rows]), **more}
+
+
+def _line_panel(
+    run: "Run",
+    title: str,
+    unit: str,
+    curves: Mapping[str, Array],
+    marks: Sequence[dict[str, Any]] = (),
+    log: bool = True,
+) -> dict[str, Any] | None:
+    """Return a panel of positive curves; None where all are NaN."""
+    if not any(np.isfinite(curve).any() for curve in curves.values()):
+        return None
+    traces = [_trace(run, name, curve, TRACE_POINTS) for name, curve in curves.items()]
+    return {
+        "kind": "lines",
+        "title": title,
+        "unit": unit,
+        "traces": traces,
+        "marks": marks,
+        "log": log,
+    }
+
+
+def _mark(name: str, y: float, unit: str) -> dict[str, Any]:
+    """Return a horizontal line with its name and value."""
+    return {"y": float(y), "text": f"{name} {y:.3g} {unit}"}
+
+
+def _error_panels(run: "Run") -> list[dict[str, Any] | None]:
+    """Return one panel for each unit that the tasks' errors have."""
+    curves: dict[str, dict[str, Array]] = {}
+    for name, task in run.manifest["tasks"].items():
+        for column, unit in enumerate(task["units"]):
+            curves.setdefault(unit, {})[name] = run.error[name][:, column]
+    titles = {"m": "Position error", "rad": "Angular error"}
+    tolerance = run.manifest["config"].get("tolerance", {})
+    wanted = {"m": tolerance.get("position"), "rad": tolerance.get("orientation")}
+    return [
+        _line_panel(
+            run,
+            titles.get(unit, f"Error in {unit}"),
+            unit,
+            curves[unit],
+            [_mark("tolerance", wanted[unit], unit)] if wanted.get(unit) else (),
+        )
+        for unit in sorted(curves)
+    ]
+
+
+def _joint_panel(
+    run: "Run", title: str, channels: Sequence[Channel], measured: Array | None = None
+) -> dict[str, Any]:
+    """Return a panel of joints, each with its own limits and its largest share of them."""
+    limit = max(1000, min(TRACE_POINTS, PANEL_POINTS // max(1, len(channels))))
+    traces = []
+    for i, channel in enumerate(channels):
+        trace = _trace(run, channel.name, channel.values, limit, unit=channel.unit)
+        if channel.bounded:
+            middle, half = (channel.lower + channel.upper) / 2, (channel.upper - channel.lower) / 2
+            peak = float(np.fmax.reduce(np.abs(channel.values - middle), initial=0.0)) / half
+            trace |= {"lower": channel.lower, "upper": channel.upper, "peak": peak}
+        if measured is not None:
+            trace["measured"] = _trace(run, "measured", measured[:, i], limit)
+        traces.append(trace)
+    return {"kind": "joints", "title": title, "traces": traces}
+
+
+def _velocity_panel(run: "Run") -> dict[str, Any]:
+    followed_exactly = np.array_equal(run.v, run.v_measured, equal_nan=True)
+    channels = rates(run.manifest["model"], run.v, "velocity")
+    measured = None if followed_exactly else run.v_measured
+    return _joint_panel(run, "Joint velocities", channels, measured)
+
+
+def _step_time_panel(run: "Run") -> dict[str, Any] | None:
+    if not len(run.step_time):
+        return None
+    microseconds = run.step_time * 1e6
+    median, p99 = np.percentile(microseconds, [50, 99])
+    marks = [_mark("median", median, "µs"), _mark("99 %", p99, "µs")]
+    return _line_panel(run, "Time to compute a step", "µs", {"step": microseconds}, marks)
+
+
+def _strip(
+    title: str, run: "Run", rows: Mapping[str, NDArray[Any]], names: Sequence[str]
+) -> dict[str, Any]:
+    """Return a panel of coloured strips, one for each row of integers (N,), greatest wins."""
+    steps = len(run.time)
+    length = -(-steps // STRIP_CELLS)
+    cells = [
+        np.pad(values, (0, -steps % length), mode="edge").reshape(-1, length).max(axis=1).tolist()
+        for values in rows.values()
+    ]
+    return {
+        "kind": "strip",
+        "title": title,
+        "edges": _packed(np.append(run.time[::length], _end(run.time))),
+        "rows": list(rows),
+        "cells": cells,
+        "names": list(names),
+    }
+
+
+def _status_panel(run: "Run") -> dict[str, Any] | None:
+    if not len(run.time):
+        return None
+    statuses = run.manifest["statuses"]
+    panel = _strip("Status", run, {"": run.status}, statuses)
+    return panel | {"colours": [status_colour(name) for name in statuses]}
+
+
+def _active_panel(run: "Run") -> dict[str, Any] | None:
+    """Return the strips of the joints that have had an active bound; None where none has."""
+    names = [channel.name for channel in rates(run.manifest["model"], run.v, "velocity")]
+    # 0 none, 1 lower, 2 upper.
+    rows = {
+        names[i]: np.where(run.active[:, i] < 0, 1, 2 * run.active[:, i])
+        for i in np.flatnonzero(run.active.any(axis=0))
+    }
+    if not rows:
+        return None
+    panel = _strip("Active limits", run, rows, ["", *_BOUND_COLOURS])
+    return panel | {"colours": ["rgba(0,0,0,0)", *_BOUND_COLOURS.values()]}

@@ -1,0 +1,111 @@
+"""A run in numbers: what `--json` prints and the manifest keeps."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.record.channels import Channel, positions, rates
+
+Array = NDArray[np.float64]
+
+# Less than this outside a limit (rad, m, and their rates) is rounding, not a violation.
+ROUNDING = 1e-9
+
+
+def summarize(
+    *,
+    dt: float,
+    q: Array,
+    v: Array,
+    status: NDArray[np.uint8],
+    error: Mapping[str, Array],
+    step_time: Array,
+    model: dict[str, Any],
+    tasks: Mapping[str, Mapping[str, Any]],
+    statuses: Sequence[str],
+    engine: str,
+    backend: str,
+    method: str,
+    tolerance: Mapping[str, float],
+    converging: Mapping[str, Collection[int]],
+) -> dict[str, Any]:
+    """Return the summary of a run of N steps.
+
+    Args:
+        dt: Length of a step, s.
+        q: Configurations (N, nq).
+        v: Commanded velocities (N, nv); the robot is at rest before the first.
+        status: Index into `statuses` (N,).
+        error: True error of each task (N, k).
+        step_time: Time that each step took to compute, s (N,).
+        model: The manifest's `model`.
+        tasks: The manifest's `tasks`, with the units of each error's columns.
+        statuses: Names of the statuses by value.
+        engine: Name of the engine.
+        backend: Name of the QP backend.
+        method: Name of the method.
+        tolerance: Largest error at the end that counts as converged, by unit.
+        converging: The tasks that must converge, and which columns of their errors.
+    """
+    acceleration = np.diff(v, axis=0, prepend=np.zeros((1, v.shape[1]))) / dt
+    converged = len(q) > 0 and all(
+        bool(error[name][-1, column] <= tolerance[tasks[name]["units"][column]])
+        for name, columns in converging.items()
+        for column in columns
+    )
+    counts = np.bincount(status, minlength=len(statuses))
+    return {
+        "steps": len(q),
+        "converged": converged,
+        "engine": engine,
+        "backend": backend,
+        "method": method,
+        "tasks": {name: _task(error[name], task["units"]) for name, task in tasks.items()},
+        "limits": {
+            "position": _violation(positions(model, q)),
+            "velocity": _violation(rates(model, v, "velocity")),
+            "acceleration": _violation(rates(model, acceleration, "acceleration")),
+            "collision": _violation([]),
+        },
+        "status": {
+            name: int(number) for name, number in zip(statuses, counts, strict=True) if number
+        },
+        "step_time_us": _step_time(step_time),
+        "real_time_factor": len(q) * dt / float(step_time.sum()) if step_time.any() else None,
+    }
+
+
+def _task(error: Array, units: Sequence[str]) -> dict[str, Any]:
+    """Return the numbers of a task's first column, with those of an orientation nested."""
+    first, *rest = (_column(error[:, i], unit) for i, unit in enumerate(units))
+    return first | ({"orientation": rest[0]} if rest else {})
+
+
+def _column(values: Array, unit: str) -> dict[str, Any]:
+    if not values.size:
+        return {"rms": None, "max": None, "final": None, "unit": unit}
+    return {
+        "rms": float(np.sqrt(np.mean(values**2))),
+        "max": float(values.max()),
+        "final": float(values[-1]),
+        "unit": unit,
+    }
+
+
+def _violation(channels: Sequence[Channel]) -> dict[str, Any]:
+    """Return the largest excess over the limits, and the joint that it is of."""
+    largest: dict[str, Any] = {"max_violation": 0.0, "joint": None, "unit": None}
+    for channel in channels:
+        excess = float(channel.excess.max(initial=0.0))
+        if excess > max(ROUNDING, largest["max_violation"]):
+            largest = {"max_violation": excess, "joint": channel.name, "unit": channel.unit}
+    return largest
+
+
+def _step_time(step_time: Array) -> dict[str, float | None]:
+    if not step_time.size:
+        return {"median": None, "p99": None, "max": None}
+    median, p99, largest = 1e6 * np.percentile(step_time, [50, 99, 100])
+    return {"median": float(median), "p99": float(p99), "max": float(largest)}
