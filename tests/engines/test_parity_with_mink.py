@@ -17,7 +17,7 @@ GAIN = 0.02  # mink's, per step
 DAMPING = 1e-4
 STEPS = 500
 PARITY = 1e-8  # rad/s; both solvers are asked for more than that
-SOLVER = {"primal_tol": 1e-13, "dual_tol": 1e-13}  # of Δq, 500 times smaller than v at this dt
+SOLVER: dict[str, Any] = {"primal_tol": 1e-13, "dual_tol": 1e-13}  # of Δq, 500 times smaller than v at this dt
 
 
 # Targets far from the start, by type of task.

@@ -87,6 +87,7 @@ def test_a_bad_dt_brakes(dt) -> None:
 def test_braking_keeps_the_acceleration_limit() -> None:
     controller = panda(limits={"acceleration": {"default": 10.0}})
     controller.set_target("hand", ahead(controller, 0.2, 0.2, -0.2))
+    last = controller.step()
     for _ in range(30):
         last = controller.step()
     assert np.abs(last.v).max() > 0.1
@@ -203,10 +204,9 @@ def test_dofs_leave_the_other_columns_out() -> None:
 def test_freeze_holds_its_joints_exactly() -> None:
     controller = panda(tasks=[{"name": "still", "type": "freeze", "joints": ["joint1", "joint5"]}])
     controller.set_target("hand", ahead(controller, 0.1, 0.1, 0.1))
-    for _ in range(100):
-        step = controller.step()
-        assert step.v[0] == step.v[4] == 0.0
-    assert np.abs(step.v).max() > 0.01
+    rates = np.array([controller.step().v for _ in range(100)])
+    assert not rates[:, [0, 4]].any()
+    assert np.abs(rates).max() > 0.01
 
 
 def test_velocity_and_smooth_tasks_do_what_they_say() -> None:

@@ -11,6 +11,7 @@ from models import ROBOTS, config, random_configuration, random_quaternion, scen
 import rmrc
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.lie import pose_of
+from rmrc.problem.tasks.frame import FrameTerm
 
 STEP = 1e-6
 # Central differences err by STEP²·f''' ≈ 1e-12 and by rounding/STEP ≈ 1e-10 · the size of e.
@@ -146,6 +147,7 @@ def test_measured_errors_are_true_distances_and_angles(evaluation: Evaluation) -
     error = error_at(evaluation, q)
     for name in ("frame", "second", "world"):
         term = evaluation.problem.term[name]
+        assert isinstance(term, FrameTerm)
         position, matrix = term.frame.views(evaluation.data)
         pose, target = pose_of(matrix, position), evaluation.target[name]
         distance, angle = term.measure(evaluation.error_of(error, term))

@@ -68,7 +68,7 @@ class PerJoint(Model):
     """A limit for each joint: a default, and others by joint name."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[JointName, Positive] = Field(init=False)
+    __pydantic_extra__: dict[JointName, Positive] = Field(init=False)  # pyright: ignore
 
     default: Positive | None = None
     """For every joint that is not named."""

@@ -63,12 +63,12 @@ def _model(problem: Problem) -> dict[str, Any]:
                 "dof": int(first),
                 "unit": unit,
                 "range": model.jnt_range[joint].tolist() if limited else None,
-                "velocity": _finite(velocity[first]),
-                "acceleration": _finite(acceleration[first]),
+                "velocity": _finite(float(velocity[first])),
+                "acceleration": _finite(float(acceleration[first])),
             }
         )
     return {"nq": model.nq, "nv": model.nv, "joints": joints}
 
 
-def _finite(value: np.float64) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

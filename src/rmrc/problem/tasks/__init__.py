@@ -15,6 +15,20 @@ from rmrc.problem.tasks.relative_frame import RelativeFrameTask
 from rmrc.problem.tasks.smooth import SmoothTask
 from rmrc.problem.tasks.velocity import VelocityTask
 
+__all__ = [
+    "AxisAlignTask",
+    "ComTask",
+    "FrameTask",
+    "FreezeTask",
+    "KineticEnergyTask",
+    "LookAtTask",
+    "PostureTask",
+    "RelativeFrameTask",
+    "SmoothTask",
+    "Task",
+    "VelocityTask",
+]
+
 Task = Annotated[
     FrameTask
     | RelativeFrameTask
