@@ -76,16 +76,17 @@ def mutated(text: str, chance: random.Random) -> str:
 def refuses(config: Path) -> bool:
     """Load a file in time, and what is shown of it again; tell whether it is refused."""
     began = time.perf_counter()
-    mistakes, message = (), ""
+    loaded, refusal = None, None
     try:
         loaded = load(config)
     except ConfigError as error:
-        mistakes, message = error.mistakes, str(error)
+        refusal = error
     assert time.perf_counter() - began < SOON
-    if message:
-        assert mistakes
-        assert all(mistake.place is not None for mistake in mistakes)
-        assert message.encode()  # it can be printed
+    if loaded is None:
+        assert refusal is not None
+        assert refusal.mistakes
+        assert all(mistake.place is not None for mistake in refusal.mistakes)
+        assert str(refusal).encode()  # it can be printed
         return True
     text = show(config)
     config.write_text(text, encoding="utf-8")

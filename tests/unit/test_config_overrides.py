@@ -55,7 +55,11 @@ def test_an_option_is_a_path_and_a_yaml_value(text, override):
         ("=5", "write it as in --set solver.backend=osqp"),
         ("solver..backend=osqp", "write it as in --set solver.backend=osqp"),
         ("tasks[x].B=1", "write it as in --set solver.backend=osqp"),
-        ("dofs=[a, b", "this list is missing a comma or its closing ]"),
+        (
+            "dofs=[a, b",
+            "this list is missing a comma or its closing ]; "
+            "text with { } [ ] in it goes into quotes",
+        ),
         (
             "scene=!!python/name:os.x",
             "tags such as !!python/object have no meaning here; remove it",
@@ -118,6 +122,11 @@ def test_paths_that_lead_nowhere_say_why(path):
         "There is: hand, hand_r",
         "--set tasks[2].B=1: 'tasks' has 2 items, the first of them [0]",
     ]
+
+
+def test_a_path_of_any_length_is_refused(path):
+    with pytest.raises(ConfigError, match="at most 50 levels deep"):
+        load(path, {".".join(["targets"] * 5000): 1})
 
 
 def test_a_wrong_value_is_told_with_its_option(path):

@@ -170,12 +170,25 @@ def test_values_keep_the_place_where_they_were_written(folder):
     }
 
 
-def test_a_stack_that_grows_without_bound_is_refused(folder):
-    items = ", ".join(["$x"] * 300)
-    stack(f"parameters: {{x: null}}\ntasks: [{{name: a, type: posture, B: [{items}]}}]\n")
-    value = f"[{', '.join(['1'] * 300)}]"
+@pytest.mark.parametrize(
+    ("use", "value"),
+    [
+        ("[{}]".format(", ".join(["$x"] * 300)), [1] * 300),
+        ("'{}'".format("${x}" * 3000), "y" * 3000),
+    ],
+    ids=["values", "text"],
+)
+def test_a_stack_that_grows_without_bound_is_refused(folder, use, value):
+    stack(f"parameters: {{x: null}}\ntasks: [{{name: a, type: posture, B: {use}}}]\n")
     with pytest.raises(ConfigError, match="with its stacks a configuration has at most"):
         config(f"  - {{use: stacks/other.yaml, with: {{x: {value}}}}}\n")
+
+
+def test_a_stack_that_cannot_be_read_is_one_mistake_however_often_it_is_used(folder):
+    stack("tasks: [\n")
+    with pytest.raises(ConfigError) as caught:
+        config("  - use: stacks/other.yaml\n  - use: ./stacks/../stacks/other.yaml\n" * 20)
+    assert len(caught.value.mistakes) == 1
 
 
 def test_a_section_without_content_is_a_mistake(folder):

@@ -31,7 +31,11 @@ def _origin(document: Document, location: Location | None) -> str:
     if location is None:
         return ""
     node = document.find(location)
-    return "default" if node is None else printable(str(node.place))
+    if node is None:
+        return "default"
+    items = node.value if isinstance(node.value, list) else []
+    places = [node.place, *(item.place for item in items if item.place.file != node.place.file)]
+    return printable(", ".join(dict.fromkeys(map(str, places))))
 
 
 def _mapping(

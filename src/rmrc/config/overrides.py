@@ -9,7 +9,7 @@ import numpy as np
 
 from rmrc.config.document import Node, Place
 from rmrc.config.mistakes import Mistake, clipped, config_error, shown
-from rmrc.config.read import parse
+from rmrc.config.read import DEEPEST, parse
 from rmrc.errors import ConfigError, unknown_name
 
 _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d{1,9}\])*")
@@ -52,7 +52,10 @@ def apply(root: Node, overrides: Mapping[str, Any]) -> tuple[Node, list[Mistake]
         try:
             if not _PATH.fullmatch(path):
                 raise _Unreachable("a path is written as in solver.backend or tasks[0].gain")
-            root = _set(root, _STEP.findall(path), "", _node(value, place))
+            steps = _STEP.findall(path)
+            if len(steps) > DEEPEST:
+                raise _Unreachable(f"a configuration is at most {DEEPEST} levels deep")
+            root = _set(root, steps, "", _node(value, place))
         except _Unreachable as reason:
             mistakes.append(Mistake((), str(reason), place=place))
     return root, mistakes

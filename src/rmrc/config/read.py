@@ -40,8 +40,10 @@ _SYNTAX = {
     "that cannot start any token": "text that begins with @, ` or % goes into quotes",
     "expected <block end>": "this does not line up with what stands above it: keys of one mapping, "
     "and the items of one list, begin in the same column",
-    "expected ',' or ']'": "this list is missing a comma or its closing ]",
-    "expected ',' or '}'": "this mapping is missing a comma or its closing }",
+    "expected ',' or ']'": "this list is missing a comma or its closing ]; "
+    "text with { } [ ] in it goes into quotes",
+    "expected ',' or '}'": "this mapping is missing a comma or its closing }; "
+    "text with { } [ ] in it goes into quotes, as '${name}' does",
     "found unexpected end of stream": "the text in quotes that begins here never ends",
     "expected the node content": "a value is missing here",
     "sequence entries are not allowed here": "a list cannot begin here: put '- ' on its own line",
@@ -93,7 +95,7 @@ def parse(text: str, name: str) -> Node | None:
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise _error(
-            f"line {line} has the character {error.character!r}, which no text file has",
+            f"line {line} has the character {text[error.position]!r}, which no text file has",
             Place(name),
         ) from None
     except YAMLError as error:

@@ -18,6 +18,8 @@ STACK_KEYS = ("parameters", "tasks", "limits")
 PARAMETER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WHOLE = re.compile(r"\$(\w+)|\$\{(\w+)\}")
 _PART = re.compile(r"(\$\$)|\$\{(\w+)\}|\$")
+# So many characters put into a text count as one value, which bounds what a stack grows to.
+_CHARACTERS = 20
 
 
 def expand(root: Node, file: Path, name: str) -> tuple[Node, list[Mistake]]:
@@ -54,13 +56,13 @@ def expand(root: Node, file: Path, name: str) -> tuple[Node, list[Mistake]]:
 
 
 def merged(under: Node, over: Node) -> Node:
-    """Return two mappings as one, `over` winning where both say something; else `over`."""
+    """Return `over`, or two mappings as one in which it wins."""
     if not isinstance(under.value, dict) or not isinstance(over.value, dict):
         return over
     entries = dict(under.value)
     for key, node in over.value.items():
         entries[key] = merged(entries[key], node) if key in entries else node
-    return replace(over, value=entries)
+    return replace(under, value=entries)
 
 
 class _Unusable(Exception):
@@ -73,7 +75,7 @@ class _Expansion:
     def __init__(self, file: Path, name: str):
         self.mistakes: list[Mistake] = []
         self._file, self._name = file, name
-        self._read: dict[str, Node] = {}
+        self._read: dict[str, Node | None] = {}
         self._room = MOST_VALUES
 
     def stack(self, item: Node) -> dict[str, Node]:
@@ -101,14 +103,15 @@ class _Expansion:
         """Return two stacks' limits as one; where they differ the configuration must decide."""
         if first is None or second is None:
             return second if first is None else first
+        if own is not None and not isinstance(own.value, dict):
+            return first  # which does not matter, for the configuration's own wins
         if isinstance(first.value, dict) and isinstance(second.value, dict):
             entries: dict[str, Any] = dict(first.value)
             for key, node in second.value.items():
                 inner = own.child(key) if own is not None else None
                 entries[key] = self.joined(entries.get(key), node, inner)
             return replace(first, value=entries)
-        undecided = own is None or isinstance(own.value, dict)
-        if undecided and first.plain != second.plain:
+        if first.plain != second.plain:
             self._note(
                 f"two stacks disagree on this limit: it is {shown(second.value)} here and "
                 f"{shown(first.value)} at {first.anchor}; decide in the configuration's limits",
@@ -121,18 +124,21 @@ class _Expansion:
         use = item.mapping["use"]
         if not isinstance(use.value, str) or not use.value:
             self._stop(f"the path of a stack is wanted here, not {shown(use.value)}", use.anchor)
-        if use.value not in self._read:
-            name = normpath(Path(self._name).parent / use.value)
+        name = normpath(Path(self._name).parent / use.value)
+        if name not in self._read:
+            self._read[name] = None
             try:
-                self._read[use.value] = read(self._file.parent / use.value, name)
+                self._read[name] = read(self._file.parent / use.value, name)
             except ConfigError as error:
                 for mistake in error.mistakes:
                     place = mistake.place
                     whole = place is None or not place.line
                     message = f"{name}: {mistake.message}" if whole else mistake.message
                     self._note(message, use.anchor if place is None or whole else place)
-                raise _Unusable from None
-        return self._read[use.value]
+        stack = self._read[name]
+        if stack is None:
+            raise _Unusable
+        return stack
 
     def _used(self, node: Node, use: Place) -> Node:
         """Return a stack's node with the place of its use noted on every place in it."""
@@ -203,7 +209,9 @@ class _Expansion:
             if isinstance(node.value, bool) or not isinstance(node.value, (str, int, float)):
                 message = f"'{match[2]}' stands inside text at {place}: give text or a number"
                 self._stop(f"{message}, not {shown(node.value)}", node.anchor)
-            return str(node.value)
+            inserted = str(node.value)
+            self._take(node, 1 + len(inserted) // _CHARACTERS)
+            return inserted
 
         return _PART.sub(part, text)
 

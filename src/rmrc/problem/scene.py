@@ -6,7 +6,7 @@ from pathlib import Path
 
 import mujoco
 
-from rmrc.errors import ModelError, suggestion
+from rmrc.errors import ModelError, instead
 
 MENAGERIE = "menagerie:"
 
@@ -32,15 +32,14 @@ def _compiled(path: Path, modified: int) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_path(str(path))
     except Exception as failure:  # MuJoCo raises ValueError, and its plugins what they like
         reason = " ".join(str(failure).split())
-        raise ModelError(f"scene '{path}' does not compile: {reason}") from None
+        raise ModelError(f"scene '{path.name}' does not compile: {reason}") from None
 
 
 def _file_path(scene: str, root: Path) -> Path:
     path = (root / scene).resolve() if scene else root
     if not path.is_file():
         nearby = sorted(p.name for p in path.parent.glob("*.xml")) if path.parent.is_dir() else []
-        have = f"; that folder has: {', '.join(nearby)}" if nearby else ""
-        raise ModelError(f"there is no scene file '{scene}'{suggestion(path.name, nearby)}{have}")
+        raise ModelError(f"there is no scene file '{scene}'{instead(path.name, nearby)}")
     return path
 
 

@@ -6,12 +6,12 @@ from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Array, Solution, SolveStatus
 
 TARGET = 1e-9
-"""Largest KKT residual that needs no polish."""
+"""Largest KKT residual of a polished solution that is taken at once."""
 OPTIMAL = 1e-8
 """The same, relative to the largest of 1 and |g|, of a solution that is SOLVED whatever it was."""
 ROUNDS = 3
 """Systems solved at most; one is enough where the active limits are told apart."""
-SHIFT = 1e-9
+SHIFT = 1e-7
 """Share of 1/trace(H) that makes dependent rows solvable; refinement removes its effect."""
 REFINEMENTS = 3
 """Steps of iterative refinement after the solve."""
@@ -39,12 +39,14 @@ class Polish:
         best = latest = solution
         self._certificate.certify(solution)
         for _ in range(ROUNDS):
-            if best.kkt.largest <= TARGET:
-                break
             latest = self._on_active_limits(latest)
             if latest is None:
                 break
-            if self._certificate.certify(latest) < best.kkt.largest:
+            residual = self._certificate.certify(latest)
+            if residual <= TARGET:
+                best = latest
+                break
+            if residual < best.kkt.largest:
                 best = latest
         if best.kkt.largest <= OPTIMAL * max(1.0, float(np.abs(self._qp.g).max())):
             best.status = SolveStatus.SOLVED

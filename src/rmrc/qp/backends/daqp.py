@@ -79,10 +79,9 @@ class DAQP(Backend):
     def _run(self, qp: QP) -> Solution:
         v, _, flag, info = self._model.solve()
         status = STATUS.get(flag, SolveStatus.FAILED)
+        iterations = min(info["iterations"], self._settings["iter_limit"] - 1)
         if status is not SolveStatus.SOLVED:
             # A dual method has no velocity to offer before its last iteration.
-            return Solution.at_rest(qp, status, info["iterations"])
+            return Solution.at_rest(qp, status, iterations)
         n, m, multiplier = qp.g.size, qp.g.size + qp.lo.size, info["lam"]
-        return Solution(
-            v, multiplier[:n], multiplier[n:m], multiplier[m:], info["iterations"], status
-        )
+        return Solution(v, multiplier[:n], multiplier[n:m], multiplier[m:], iterations, status)

@@ -28,7 +28,7 @@ class OSQP(Backend):
     def __init__(self, max_iter: int | None = None, tolerance: float | None = None) -> None:
         super().__init__(polished=True)
         self._settings = {
-            "max_iter": 4000 if max_iter is None else max_iter,
+            "max_iter": 10_000 if max_iter is None else max_iter,
             "eps_abs": 1e-6 if tolerance is None else tolerance,
             "eps_rel": 0.0,
             # At OSQP's 1e-4 an ill-conditioned program passes for an infeasible one.

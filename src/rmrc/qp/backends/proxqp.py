@@ -25,7 +25,7 @@ class ProxQP(Backend):
     def __init__(self, max_iter: int | None = None, tolerance: float | None = None) -> None:
         super().__init__(polished=True)
         self._max_iter = 100 if max_iter is None else max_iter
-        self._tolerance = 1e-9 if tolerance is None else tolerance
+        self._tolerance = 1e-6 if tolerance is None else tolerance
 
     def _load(self, qp: QP) -> SolveStatus | None:
         solver = proxqp.dense.QP(qp.g.size, qp.f.size, qp.lo.size, box_constraints=True)

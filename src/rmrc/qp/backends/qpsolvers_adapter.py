@@ -100,10 +100,7 @@ def _require(name: str) -> None:
     if not hasattr(qpsolvers.solvers, f"{name}_solve_problem"):
         raise SolverError(unknown_name("QP backend", name, [*BACKENDS, *others]))
     if name in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
-        raise SolverError(
-            f"the QP backend '{name}' is not installed: pip install qpsolvers[{name}]"
-        )
-    raise SolverError(
-        f"the QP backend '{name}' is absent, and qpsolvers has no extra that installs it: its "
-        "documentation says where each solver comes from"
-    )
+        advice = f"pip install 'qpsolvers[{name}]'"
+    else:
+        advice = "the documentation of qpsolvers says where it comes from"
+    raise SolverError(f"the QP backend '{name}' is not installed: {advice}")
