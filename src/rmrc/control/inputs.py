@@ -88,6 +88,8 @@ class Targets:
             given = (position, quaternion, velocity, q, direction)
             if any(given[k] is not None for k in _FOREIGN[kind]):
                 return False
+            if kind == "point" and position is not None:
+                return self._take_point(name, position, velocity)
             if kind == "rates":
                 return self._write(name, velocity)
             if kind == "configuration":
@@ -98,7 +100,7 @@ class Targets:
                 return length > ZERO_NORM and self._write(
                     name, axis / length, velocity, slice(3, 6)
                 )
-            return self._write(name, position, velocity, slice(3))
+            return False
         except (TypeError, ValueError):  # not numbers, or of another shape
             return False
 
@@ -123,6 +125,16 @@ class Targets:
             evaluation.twist[name][part] = moving
             evaluation.moving.add(name)
         target[:] = new
+        return True
+
+    def _take_point(self, name: str, position: ArrayLike, velocity: ArrayLike | None) -> bool:
+        if velocity is not None:
+            return self._write(name, position, velocity, slice(3))
+        a, b, c = _floats(position)
+        if not a * a + b * b + c * c < LARGEST**2:  # NaN is not less
+            return False
+        self._evaluation.target[name][:] = (a, b, c)
+        self._evaluation.stop(name)
         return True
 
     def _take_pose(
