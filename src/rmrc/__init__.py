@@ -22,11 +22,14 @@ from rmrc.problem.compile import compile
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks import (
     AxisAlignTask,
+    CenteringTask,
+    ClearanceTask,
     ComTask,
     FrameTask,
     FreezeTask,
     KineticEnergyTask,
     LookAtTask,
+    ManipulabilityTask,
     PostureTask,
     RelativeFrameTask,
     SmoothTask,
@@ -39,7 +42,9 @@ __version__ = version("rmrc")
 __all__ = [
     "ArcPath",
     "AxisAlignTask",
+    "CenteringTask",
     "CirclePath",
+    "ClearanceTask",
     "ComTask",
     "Config",
     "ConfigError",
@@ -52,6 +57,7 @@ __all__ = [
     "KineticEnergyTask",
     "LinePath",
     "LookAtTask",
+    "ManipulabilityTask",
     "ModelError",
     "Pose",
     "PosePath",

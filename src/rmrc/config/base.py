@@ -22,7 +22,7 @@ FRAME_KINDS: tuple[FrameKind, ...] = ("site", "body", "geom")
 SEMIDEFINITE_TOLERANCE = 1e-9
 
 
-NameKind = Literal["site", "body", "geom", "joint", "keyframe"]
+NameKind = Literal["site", "body", "geom", "joint", "keyframe", "geom or body"]
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,13 @@ from rmrc.config.base import (
     KeyframeName,
     Model,
     Name,
+    NameOf,
     NonNegative,
     Number,
     Positive,
     Share,
     Vector,
+    Vector3,
     Weight,
 )
 from rmrc.config.document import NOWHERE, Document, Location, Place
@@ -24,6 +26,18 @@ from rmrc.control.paths import PathConfig
 from rmrc.problem.tasks import Task
 
 Off = Literal["off"]
+Method = Literal[
+    "qp",
+    "inverse",
+    "transpose",
+    "pinv",
+    "weighted",
+    "dls",
+    "sdls",
+    "nullspace",
+    "saturated",
+    "descent",
+]
 
 
 class SolverModel(Model):
@@ -90,6 +104,42 @@ class LimitsModel(Model):
     """Acceleration in rad/s² or m/s²; off by default."""
 
 
+class PushModel(Model):
+    """A wrench on a body for a while, in the world's axes, at the body's centre of mass."""
+
+    body: Annotated[str, NameOf("body")]
+    """Name of the body."""
+    force: Vector3 = (0.0, 0.0, 0.0)
+    """N."""
+    torque: Vector3 = (0.0, 0.0, 0.0)
+    """N·m."""
+    start: NonNegative = 0.0
+    """When it begins, s."""
+    duration: Positive
+    """How long it lasts, s."""
+
+
+class ActuationModel(Model):
+    """The joint controllers and what comes back from the joints, for `execute: actuated`."""
+
+    joint_control: Literal["torque", "position"] = "torque"
+    """`position`: the model's own position actuators; `torque`: computed torques."""
+    bandwidth: Positive = 50.0
+    """Bandwidth ω of the torque control, rad/s."""
+    damping_ratio: Positive = 1.0
+    """Damping ratio ζ of the torque control."""
+    feedback: Literal["measured", "commanded"] = "measured"
+    """The configuration that a step starts from."""
+    noise: NonNegative = 0.0
+    """Standard deviation of a measured coordinate, rad or m."""
+    latency: Annotated[int, Field(strict=True, ge=0)] = 0
+    """Age of the measurement that a step gets, in steps."""
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    """Seed of the noise."""
+    push: PushModel | None = None
+    """An external wrench on a body; by default none."""
+
+
 class Config(Model):
     """One run: a scene, a start, tasks with their targets, limits, a solver."""
 
@@ -101,20 +151,23 @@ class Config(Model):
     """Length of a step, s."""
     duration: Positive = 5.0
     """Length of the run, s."""
-    method: Literal["qp"] = "qp"
-    """How a step is solved."""
+    method: Method = "qp"
+    """How a step is solved: `qp`, or one of the closed forms that it generalises."""
     follow: Literal["rate"] = "rate"
     """How a path is followed."""
-    execute: Literal["kinematic"] = "kinematic"
-    """What carries the command out."""
+    execute: Literal["kinematic", "actuated"] = "kinematic"
+    """What carries the command out: plain integration, or joint controllers in the physics."""
+    actuation: ActuationModel = ActuationModel()
+    """The joint controllers and the measurement; only `execute: actuated` reads it."""
     solver: SolverModel = SolverModel()
     """The QP backend."""
     damping: DampingModel = DampingModel()
     """The damping term."""
     metric: Weight | Literal["inertia"] = 0.0
     """Whitney's A: a number, a diagonal, a matrix, or `inertia`, the model's M(q)."""
-    priority: Literal["soft"] = "soft"
-    """What stands between levels: `soft` multiplies each level's B by `soft_ratio` once more."""
+    priority: Literal["soft", "strict"] = "soft"
+    """Between levels: `soft` multiplies each level's B by `soft_ratio` once more; `strict` lets a
+    level move only in the null space that the levels above leave inside the limits."""
     soft_ratio: Share = 1e-3
     """Ratio of the weights of a level and the one above it."""
     tolerance: ToleranceModel = ToleranceModel()

@@ -55,9 +55,14 @@ def unknown_names(annotation: Any, value: Any, model: mujoco.MjModel) -> list[Mi
     wrong = (
         Mistake(location, unknown_name(kind, clipped(name), known[kind]), at_key)
         for location, kind, name, at_key in names_in(annotation, value)
-        if name not in known.setdefault(kind, dict.fromkeys(names(model, kind)))
+        if name not in known.setdefault(kind, dict.fromkeys(_names(model, kind)))
     )
     return list(islice(wrong, MOST_MISTAKES + 1))
+
+
+def _names(model: mujoco.MjModel, kind: NameKind) -> list[str]:
+    """Return the names that the model has of one kind, or of either of two: `geom or body`."""
+    return [name for part in kind.split(" or ") for name in names(model, part)]
 
 
 def disagreements(tasks: Iterable[tuple[int, str, str]], targets: Iterable[str]) -> list[Mistake]:

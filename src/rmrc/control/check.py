@@ -3,7 +3,10 @@
 import numpy as np
 
 from rmrc.config.models import Config
+from rmrc.control.controller import Controller
+from rmrc.control.execution import build_execution
 from rmrc.control.loop import build_aims, unfinished
+from rmrc.control.methods import shortcomings
 from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
@@ -20,6 +23,9 @@ def check(config: Config) -> list[str]:
     aims = build_aims(problem)
     tasks = ", ".join(f"{term.name} ({term.type}, level {term.level})" for term in problem.terms)
     lines = [f"{problem.dofs.size} of {problem.model.nv} dofs move; tasks: {tasks}"]
+    Controller(problem)  # a method that cannot run on this problem says so
+    lines += shortcomings(problem)
+    lines += build_execution(problem).notices
     return [*lines, *_at_limits(problem), *unfinished(aims, config), *problem.notices]
 
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.engine import PythonEngine
 from rmrc.control.inputs import Configurations, Targets
+from rmrc.control.methods import UNCERTIFIED, ClosedFormEngine
 from rmrc.control.step import Errors, Status, Step
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.problem import Problem
@@ -19,6 +20,7 @@ ACTIVE_MULTIPLIER = 1e-7
 """A limit is active where its multiplier is above this share of the largest of 1 and ‖g‖."""
 
 _LIMITED = 1 << Status.LIMITED
+_SCALED = 1 << Status.SCALED
 _RECOVERING = 1 << Status.RECOVERING
 _MAX_ITER = 1 << Status.MAX_ITER
 _INVALID_INPUT = 1 << Status.INVALID_INPUT
@@ -35,7 +37,8 @@ class Controller:
         if engine not in ("auto", "python"):
             raise ModelError(unknown_name("engine", engine, ("auto", "python")))
         self.problem = problem
-        self.engine = PythonEngine(problem)
+        closed_form = problem.config.method != "qp"
+        self.engine = ClosedFormEngine(problem) if closed_form else PythonEngine(problem)
         model = problem.model
         self._model, self._evaluation = model, self.engine.evaluation
         self._all = problem.dofs.size == model.nv
@@ -114,18 +117,45 @@ class Controller:
         if valid is None or not self._valid_dt(dt):
             return self._brake(dt)
         solution = self.engine.solve(valid, self._v, dt)
-        flags = self._flags(solution)
+        return self._carried_out(valid, solution, self._flags(solution), dt)
+
+    def _carried_out(self, q: Array, solution: Solution, flags: int, dt: float) -> Step:
+        """Integrate a solution over dt from q, and remember where it leads."""
         if self._all:
             v = solution.v
         else:
             v = np.zeros(self._model.nv)
             v[self.problem.dofs] = solution.v
-        following = valid.copy()
+        following = q.copy()
         mujoco.mj_integratePos(self._model, following, v, dt)
         self._q[:] = following
         self._v[:] = v
         evaluation = self._evaluation
         return Step(v, following, flags, Errors(evaluation, evaluation.error.copy()), solution)
+
+    @property
+    def q(self) -> Array:
+        """The configuration (nq,) that the last command led to."""
+        return self._q.copy()
+
+    def command(self, v: Array, q: ArrayLike | None = None) -> Step:
+        """Return a step that carries out a velocity of the caller's own (nv,), inside the box.
+
+        The program is not solved; the errors are those of the targets at q.
+        """
+        valid = self._q if q is None else self._configurations.read(q)
+        if valid is None or not np.isfinite(v).all():
+            return self._brake(None)
+        engine, dofs, dt = self.engine, self.problem.dofs, self.problem.dt
+        outside = engine.prepare(valid, self._v, dt)
+        qp = engine.assembly.qp
+        solution = Solution.at_rest(qp, SolveStatus.SOLVED)
+        solution.v = np.clip(v[dofs], qp.lb, qp.ub)
+        solution.kkt = UNCERTIFIED
+        flags = _RECOVERING if outside else 0
+        if np.abs(solution.v - v[dofs]).max() > 0.0:
+            flags |= _LIMITED
+        return self._carried_out(valid, solution, flags, dt)
 
     def _flags(self, solution: Solution) -> int:
         """Return the statuses that hold, bit k for the status of value k."""
@@ -135,6 +165,8 @@ class Controller:
             flags |= _INVALID_INPUT
         if solution.status is not SolveStatus.SOLVED:
             flags |= _MAX_ITER
+        if self.engine.scaled:
+            flags |= _SCALED
         if self.engine.outside:
             flags |= _RECOVERING
         z = solution.bound_multiplier

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
-from rmrc.qp.backends import create
+from rmrc.qp.backends import Backend, create
+from rmrc.qp.cascade import WHOLE, Cascade
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Solution, SolveStatus
 
@@ -27,15 +28,24 @@ class PythonEngine:
     name = "python"
 
     def __init__(self, problem: Problem):
-        solver = problem.config.solver
         self.problem = problem
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
-        self._backend = create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
+        self._backend = self._new_backend()
         self._ready = False
         self.outside = False
         """Whether a joint was outside its range at the last step."""
         self._certificate = Certificate(self.assembly.qp)
+        directed = any(term.preserve for term in problem.terms)
+        self._cascade = (
+            Cascade(problem.dofs.size, self._new_backend) if problem.strict or directed else None
+        )
+        self.scaled = False
+        """Whether a task that preserves its direction ran slower than asked at the last step."""
+
+    def _new_backend(self) -> Backend:
+        solver = self.problem.config.solver
+        return create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
 
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""
@@ -47,11 +57,10 @@ class PythonEngine:
         The rungs: the full program; the same from a cold start; the box without the rows; a brake,
         which is the point of the box nearest to rest.
         """
-        evaluation, assembly = self.evaluation, self.assembly
-        evaluation.v_previous[:] = v_previous
-        evaluation.update(q)
-        evaluation.evaluate()
-        self.outside = assembly.assemble(q, dt)
+        assembly = self.assembly
+        self.outside = self.prepare(q, v_previous, dt)
+        if self._cascade is not None:
+            return self._descend(self._cascade)
         if self.problem.mink_limits:
             self._set_rows(dt)
         solution = self._attempt(assembly.qp)
@@ -63,6 +72,21 @@ class PythonEngine:
             return again
         self._ready = False
         return self._fall_back(again)
+
+    def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
+        """Evaluate and assemble without solving; return whether a joint is outside its range."""
+        evaluation = self.evaluation
+        evaluation.v_previous[:] = v_previous
+        evaluation.update(q)
+        evaluation.evaluate()
+        return self.assembly.assemble(q, dt)
+
+    def _descend(self, cascade: Cascade) -> Solution:
+        """Return the lexicographic optimum, or the brake."""
+        qp = self.assembly.qp
+        solution = cascade.solve(self.assembly.levels(), qp.lb, qp.ub)
+        self.scaled = cascade.scale < 1.0 - WHOLE
+        return solution if self._trusted(solution) else self._fall_back(solution)
 
     def _attempt(self, qp: QP) -> Solution:
         if self._ready:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config
 from rmrc.control.controller import ACTIVE_MULTIPLIER, Controller
+from rmrc.control.execution import State, build_execution
 from rmrc.control.paths import Trajectory
 from rmrc.control.step import Status, Step
 from rmrc.errors import ConfigError
@@ -28,13 +29,15 @@ Progress = Callable[[int, int], None]
 STATUSES = [status.name for status in Status]
 PROGRESS_EVERY = 50
 """Steps between two calls of the progress."""
+_ROWS = ("time", "q", "v", "v_measured", "status", "sigma_min", "active", "kkt", "step_time")
 
 
 def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     """Run a configuration from its start to its end.
 
     Row k of the run is the state at t_k = k dt before the step that is taken there, k = 0 … N with
-    N dt the duration. An interrupt (Ctrl-C) ends the run; what was done so far is returned.
+    N dt the duration. An interrupt (Ctrl-C) or a simulation that fails ends the run; what was done
+    so far is returned.
 
     Args:
         config: The configuration, or the problem compiled from it.
@@ -46,7 +49,9 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     problem = config if isinstance(config, Problem) else compile(config)
     controller = Controller(problem)
     aims = build_aims(problem)
-    log = _Log(problem, controller, unfinished(aims, problem.config))
+    execution = build_execution(problem)
+    targets = controller.engine.evaluation.target
+    log = _Log(problem, controller, unfinished(aims, problem.config), execution.notices)
     try:
         for k in range(log.count):
             if progress is not None and k % PROGRESS_EVERY == 0:
@@ -57,8 +62,13 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
             begin = time.perf_counter_ns()
             for aim in aims:
                 aim.set_on(controller)
-            step = controller.step()
-            log.add(k, now, step, time.perf_counter_ns() - begin)
+            step = controller.step(execution.feedback())
+            elapsed = time.perf_counter_ns() - begin
+            log.add(k, now, step, execution.state(step, targets), elapsed)
+            execution.carry_out(step)
+            if execution.fault is not None:
+                log.unfinished.append(execution.fault)
+                break
     except KeyboardInterrupt:
         log.interrupted = True
     if progress is not None:
@@ -123,16 +133,24 @@ def unfinished(aims: Sequence[Aim], config: Config) -> list[str]:
 class _Log:
     """The rows of a run as they come, in arrays allocated once."""
 
-    def __init__(self, problem: Problem, controller: Controller, unfinished: list[str]):
+    def __init__(
+        self,
+        problem: Problem,
+        controller: Controller,
+        unfinished: list[str],
+        notices: Sequence[str],
+    ):
         model = problem.model
         count = problem.config.steps
-        self._unfinished = unfinished
+        self.unfinished, self._notices = unfinished, notices
         self.problem, self.controller = problem, controller
         self.count, self.done, self.interrupted = count, 0, False
-        self._q_now = problem.start.copy()
         self.time = np.zeros(count)
         self.q = np.zeros((count, model.nq))
         self.v = np.zeros((count, model.nv))
+        self.v_measured = np.zeros((count, model.nv))
+        actuated = problem.config.execute == "actuated"
+        self.q_commanded = np.zeros((count, model.nq)) if actuated else None
         self.status = np.zeros(count, dtype=np.uint8)
         self.active = np.zeros((count, model.nv), dtype=np.int8)
         self.kkt = np.zeros(count)
@@ -140,8 +158,10 @@ class _Log:
         self.sigma_min = np.zeros(count)
         self.error = {t.name: np.zeros((count, len(t.units))) for t in problem.terms if t.units}
 
-    def add(self, k: int, now: float, step: Step, nanoseconds: int) -> None:
-        self.time[k], self.q[k], self.v[k] = now, self._q_now, step.v
+    def add(self, k: int, now: float, step: Step, state: State, nanoseconds: int) -> None:
+        self.time[k], self.q[k], self.v[k], self.v_measured[k] = now, state.q, step.v, state.v
+        if self.q_commanded is not None:
+            self.q_commanded[k] = state.q_commanded
         self.status[k] = step.status
         multiplier = step.solution.bound_multiplier
         binding = np.where(np.abs(multiplier) > ACTIVE_MULTIPLIER, np.sign(multiplier), 0)
@@ -150,14 +170,14 @@ class _Log:
         self.step_time[k] = nanoseconds * 1e-9
         self.sigma_min[k] = self.controller.engine.assembly.sigma_min()
         for name, values in self.error.items():
-            values[k] = step.error[name]
-        self._q_now[:] = step.q
+            values[k] = state.error[name]
         self.done = k + 1
 
     def run(self) -> Run:
         problem, config = self.problem, self.problem.config
-        names = ("time", "q", "v", "status", "sigma_min", "active", "kkt", "step_time")
-        rows: dict[str, Any] = {name: getattr(self, name)[: self.done] for name in names}
+        rows: dict[str, Any] = {name: getattr(self, name)[: self.done] for name in _ROWS}
+        if self.q_commanded is not None:
+            rows["q_commanded"] = self.q_commanded[: self.done]
         error = {name: values[: self.done] for name, values in self.error.items()}
         record = manifest(problem, STATUSES)
         converging = {
@@ -182,7 +202,7 @@ class _Log:
             converging=converging,
         )
         record["interrupted"] = self.interrupted
-        record["notices"] = [*self._unfinished, *record["notices"]]
-        if self.interrupted or self._unfinished:
+        record["notices"] = [*self.unfinished, *self._notices, *record["notices"]]
+        if self.interrupted or self.unfinished:
             record["summary"]["converged"] = False
-        return Run(**rows, v_measured=rows["v"].copy(), error=error, manifest=record)
+        return Run(**rows, error=error, manifest=record)

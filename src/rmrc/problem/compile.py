@@ -103,6 +103,10 @@ class _Compiler:
         metric = self._try(("metric",), lambda: _metric(model, config))
         box, notices = self._box(model, config.limits, terms)
         self._try(("solver", "backend"), lambda: create(config.solver.backend))
+        if mink_limits and (config.priority == "strict" or any(t.preserve for t in terms)):
+            self._mistakes.append(
+                Mistake(("priority",), "limits of mink's are rows, which strict levels do not take")
+            )
         self._stop_on_mistakes()
         assert dofs is not None
         assert metric is not None
@@ -123,7 +127,8 @@ class _Compiler:
             metric=metric,
             inertia=inertia,
             damping=config.damping.lambda_,
-            soft_ratio=config.soft_ratio,
+            soft_ratio=1.0 if config.priority == "strict" else config.soft_ratio,
+            strict=config.priority == "strict",
             box=_select(box, dofs),
             notices=tuple(notices),
             mink_tasks=mink_tasks,

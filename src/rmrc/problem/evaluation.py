@@ -70,6 +70,14 @@ class Evaluation:
             # Tasks of mink's on the model's equalities read the rows that this fills.
             mujoco.mj_makeConstraint(self.model, self.data)
 
+    def move(self, q: Array, dofs: NDArray[np.intp], step: Array) -> None:
+        """Evaluate at q moved by a tangent step over some dofs."""
+        moved, tangent = q.copy(), np.zeros(self.model.nv)
+        tangent[dofs] = step
+        mujoco.mj_integratePos(self.model, moved, tangent, 1.0)
+        self.update(moved)
+        self.evaluate()
+
     def evaluate(self) -> None:
         """Evaluate every term at the present kinematics and targets."""
         for evaluate in self._evaluators:

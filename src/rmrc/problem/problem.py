@@ -39,7 +39,9 @@ class Problem:
     damping: float
     """λ."""
     soft_ratio: float
-    """What multiplies a level's B, once for each level below the highest."""
+    """What multiplies a level's B, once for each level below the highest; 1 if they are strict."""
+    strict: bool
+    """Whether a level moves only in the null space of those above."""
     box: Box
     """The joint limits (n,)."""
     notices: tuple[str, ...]

@@ -8,6 +8,7 @@ from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
+from rmrc.qp.cascade import Level
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
@@ -19,6 +20,10 @@ def square_root(weight: Array) -> Array:
         return np.sqrt(weight)
     values, vectors = np.linalg.eigh(weight)
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+
+LEAST_DAMPING = 1e-12
+"""λ² at a level, where the configuration has less: it keeps a level's program definite."""
 
 
 class Assembly:
@@ -39,8 +44,9 @@ class Assembly:
         self._gain = np.concatenate([np.full(t.rows, t.gain) for t in evaluation.terms] or [[]])
         self._gain_dt = 0.0
         self._capped = self._gain.copy()
-        self._rate = np.empty_like(self._gain)
-        self._row_rate = self._rate[:rows]
+        self.rate = np.empty_like(self._gain)
+        """ẋ = K e + ẋ_ff of all terms at the last assembly."""
+        self._row_rate = self.rate[:rows]
         self._fed = any(term.joint and not term.gain for term in evaluation.terms)
         self._scale, self._roots = self._row_weights()
         self._minus_scale = -self._scale[:, 0]
@@ -49,11 +55,17 @@ class Assembly:
         joint_terms = [term for term in evaluation.terms if term.joint]
         self._joint_weights = np.array([self._diagonal(term) for term in joint_terms])
         self._minus_joint_weights = -self._joint_weights
-        self._joint_rates = self._rate[rows:].reshape(len(joint_terms), problem.model.nv)
+        self._joint_rates = self.rate[rows:].reshape(len(joint_terms), problem.model.nv)
         self._joint_matrices = [
             (k, self._leveled(term)) for k, term in enumerate(joint_terms) if term.weight.ndim == 2
         ]
         self._constant = self._constant_hessian()
+        self.metric = problem.metric[np.ix_(self._dofs, self._dofs)]
+        """The constant part of A (n, n)."""
+        self._leveled_terms = [
+            [term for term in evaluation.terms if term.level == level]
+            for level in sorted({term.level for term in evaluation.terms})
+        ]
         self._inertia = np.empty((problem.model.nv, problem.model.nv))
         self._gradient = np.empty(problem.model.nv)
 
@@ -105,9 +117,9 @@ class Assembly:
             np.minimum(self._gain, 1.0 / dt, out=self._capped)
             self._gain_dt = dt
         weighted, unwanted = self._weighted, self._unwanted
-        np.multiply(self._capped, evaluation.error, out=self._rate)
+        np.multiply(self._capped, evaluation.error, out=self.rate)
         if self._fed or evaluation.moving:
-            self._rate += evaluation.feedforward  # ẋ = K e + ẋ_ff
+            self.rate += evaluation.feedforward  # ẋ = K e + ẋ_ff
         np.multiply(self._scale, evaluation.jacobian, out=weighted)  # W = S J
         np.multiply(self._minus_scale, self._row_rate, out=unwanted)  # −S ẋ
         for part, root in self._roots:
@@ -156,6 +168,42 @@ class Assembly:
             qp.H += columns.T @ columns
             qp.H.flat[:: dofs.size + 1] += residual[2]
             qp.g -= residual[1] @ columns / dt
+
+    def levels(self) -> list[Level]:
+        """Return what each level asks for at the present assembly, the highest first.
+
+        Last comes what picks among equal motions: A, or the least norm.
+        """
+        n = self._dofs.size
+        damping = max(self._problem.damping**2, LEAST_DAMPING) * np.eye(n)
+        metric = self.metric + damping if self.metric.any() else np.eye(n)
+        return [
+            *(self._level(level, damping) for level in self._leveled_terms),
+            Level(np.zeros((0, n)), np.zeros(0), metric),
+        ]
+
+    def _level(self, terms: list[Term], damping: Array) -> Level:
+        rows, rates, directions = [], [], []
+        for term in terms:
+            part = self._evaluation.rows_of([term])
+            if term.joint:
+                root = square_root(term.weight)
+                root = np.diag(root) if root.ndim == 1 else root
+                root = root[np.any(root != 0.0, axis=1)]
+                rows.append(root[:, self._dofs])
+                rates.append(root @ self.rate[part])
+                continue
+            rows.append(self._weighted[part][:, self._dofs])
+            rates.append(-self._unwanted[part])
+            if term.preserve:
+                weighed = np.any(self._weighted[part] != 0.0, axis=1)
+                jacobian = self._evaluation.jacobian[part][weighed]
+                directions.append((jacobian[:, self._dofs], self.rate[part][weighed]))
+        direction = None
+        if directions:
+            jacobians, wanted = zip(*directions, strict=True)
+            direction = (np.vstack(jacobians), np.concatenate(wanted))
+        return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
     def sigma_min(self) -> float:
         """Return the least singular value of W = S J over the rows that have a weight.

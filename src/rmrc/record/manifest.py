@@ -33,7 +33,7 @@ def manifest(problem: Problem, statuses: list[str]) -> dict[str, Any]:
         "root": str(problem.config.root),
         "versions": {"python": platform.python_version()}
         | {package: version(package) for package in PACKAGES},
-        "seed": 0,
+        "seed": problem.config.actuation.seed,
         "statuses": statuses,
         "notices": list(problem.notices),
         "model": _model(problem),

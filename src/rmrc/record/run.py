@@ -38,7 +38,9 @@ _ARRAYS: dict[str, tuple[DTypeLike, str | None]] = {
     "active": (np.int8, "nv"),
     "kkt": (np.float64, None),
     "step_time": (np.float64, None),
+    "q_commanded": (np.float64, "nq"),
 }
+_OPTIONAL = ("q_commanded",)
 _MANIFEST_KEYS = ("name", "config", "root", "versions", "statuses", "model", "tasks", "summary")
 
 
@@ -78,6 +80,8 @@ class Run:
     step_time: Array
     """Time that the step took to compute, s (N,)."""
     manifest: dict[str, Any]
+    q_commanded: Array | None = None
+    """Set points of the joint controllers (N, nq); None where nothing stands between them and q."""
 
     def __post_init__(self):
         manifest = {"format": FORMAT, **_plain(self.manifest)}
@@ -86,6 +90,8 @@ class Run:
         object.__setattr__(self, "manifest", manifest)
         rows = len(self.time)
         for name, (dtype, dimension) in _ARRAYS.items():
+            if name in _OPTIONAL and getattr(self, name) is None:
+                continue
             width = () if dimension is None else (int(manifest["model"][dimension]),)
             array = _fitting(name, getattr(self, name), dtype, (rows, *width))
             object.__setattr__(self, name, array)
@@ -158,7 +164,7 @@ class Run:
             raise RmrcError(f"'{directory}' is not a run folder: there is no {MANIFEST} in it")
         manifest = _read_manifest(directory / MANIFEST)
         arrays = _read_arrays(directory / TRAJECTORY)
-        if missing := [name for name in _ARRAYS if name not in arrays]:
+        if missing := [name for name in _ARRAYS if name not in (*arrays, *_OPTIONAL)]:
             raise RmrcError(f"'{directory / TRAJECTORY}' has no array '{missing[0]}'")
         error = {
             name.removeprefix("error."): array
@@ -166,7 +172,8 @@ class Run:
             if name.startswith("error.")
         }
         try:
-            return cls(**{name: arrays[name] for name in _ARRAYS}, error=error, manifest=manifest)
+            present = {name: arrays[name] for name in _ARRAYS if name in arrays}
+            return cls(**present, error=error, manifest=manifest)
         except RmrcError as mistake:
             raise RmrcError(f"'{directory}' is damaged: {mistake}") from None
         except (AttributeError, KeyError, TypeError, ValueError) as mistake:
@@ -196,6 +203,9 @@ class Run:
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         arrays = {name: getattr(self, name) for name in _ARRAYS}
+        for name in _OPTIONAL:
+            if arrays[name] is None:
+                del arrays[name]
         return arrays | {f"error.{name}": array for name, array in self.error.items()}
 
 

@@ -5,11 +5,14 @@ from typing import Annotated
 from pydantic import Field
 
 from rmrc.problem.tasks.axis_align import AxisAlignTask
+from rmrc.problem.tasks.centering import CenteringTask
+from rmrc.problem.tasks.clearance import ClearanceTask
 from rmrc.problem.tasks.com import ComTask
 from rmrc.problem.tasks.frame import FrameTask
 from rmrc.problem.tasks.freeze import FreezeTask
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTask
 from rmrc.problem.tasks.look_at import LookAtTask
+from rmrc.problem.tasks.manipulability import ManipulabilityTask
 from rmrc.problem.tasks.posture import PostureTask
 from rmrc.problem.tasks.relative_frame import RelativeFrameTask
 from rmrc.problem.tasks.smooth import SmoothTask
@@ -17,11 +20,14 @@ from rmrc.problem.tasks.velocity import VelocityTask
 
 __all__ = [
     "AxisAlignTask",
+    "CenteringTask",
+    "ClearanceTask",
     "ComTask",
     "FrameTask",
     "FreezeTask",
     "KineticEnergyTask",
     "LookAtTask",
+    "ManipulabilityTask",
     "PostureTask",
     "RelativeFrameTask",
     "SmoothTask",
@@ -39,7 +45,10 @@ Task = Annotated[
     | KineticEnergyTask
     | LookAtTask
     | AxisAlignTask
-    | FreezeTask,
+    | FreezeTask
+    | CenteringTask
+    | ManipulabilityTask
+    | ClearanceTask,
     Field(discriminator="type"),
 ]
 """Any task of a configuration, told apart by `type`."""

@@ -46,7 +46,7 @@ class AxisAlignTask(GainedTask):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class AxisAlignTerm(MinkTerm):
     """Rows of an `axis_align` task, by mink's AxisAlignTask: e = Rᵀt − a."""
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Gain = Positive | Literal["deadbeat"]
+Preserve = Literal["direction"]
 TargetKind = Literal["pose", "point", "direction", "configuration", "rates", "none"]
 
 
@@ -64,7 +65,7 @@ class GainedTask(TaskModel):
     """Gain K in 1/s of the error's decay, never above 1/dt; `deadbeat` is 1/dt."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Term:
     """One task as the engine sees it: names resolved, weights as arrays.
 
@@ -81,6 +82,8 @@ class Term:
     """B as a diagonal (rows,) or a matrix (rows, rows)."""
     target: Array
     """The target at the start, of size 0 where there is none."""
+    preserve: bool = False
+    """Whether the task moves along its ẋ, as fast as the limits allow, in place of its cost."""
 
     target_kind: ClassVar[TargetKind] = "none"
     joint: ClassVar[bool] = False

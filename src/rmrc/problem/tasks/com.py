@@ -63,7 +63,7 @@ def robot_root(model: mujoco.MjModel) -> int:
     return moving.pop() if len(moving) == 1 else 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ComTerm(Term):
     """Rows of a `com` task: e = c* − c(q) and J = ∂c/∂q, in the world's axes."""
 

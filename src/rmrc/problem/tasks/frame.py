@@ -16,6 +16,7 @@ from rmrc.problem.lie import inverse_multiply, jlog, pose_of, rminus
 from rmrc.problem.tasks.base import (
     Array,
     GainedTask,
+    Preserve,
     TargetKind,
     Term,
     gain_value,
@@ -62,6 +63,8 @@ class PoseTask(GainedTask):
     """Weight in the order [position; orientation], or {position: …, orientation: …}."""
     clamp: PoseClamp = PoseClamp()
     """Largest error that the task acts on."""
+    preserve: Preserve | None = None
+    """`direction`: move along ẋ as fast as the limits allow, not as near to it as may be."""
 
     def pose_weight(self) -> Array:
         """Return B as (6,) or (6, 6).
@@ -98,10 +101,11 @@ class FrameTask(PoseTask):
             frame=handle,
             axes=self.axes,
             clamp=(self.clamp.position or np.inf, self.clamp.orientation or np.inf),
+            preserve=self.preserve is not None,
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PoseTerm(Term):
     """What the terms on poses share: targets (7,) as wxyz + xyz, errors as a twist."""
 
@@ -155,7 +159,7 @@ def clamp_twist(error: Array, clamp: tuple[float, float]) -> None:
             part *= longest / length
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FrameTerm(PoseTerm):
     """Rows of a `frame` task for the frame b and the target t.
 

@@ -34,7 +34,7 @@ class FreezeTask(TaskModel):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FreezeTerm(Term):
     """A `freeze` task: a velocity limit of zero on its dofs, an equality inside the one box."""
 

@@ -30,7 +30,7 @@ class KineticEnergyTask(TaskModel):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class KineticEnergyTerm(Term):
     """A `kinetic_energy` task: it has no rows, and adds B·M(q) to the metric A."""
 

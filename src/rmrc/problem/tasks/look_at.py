@@ -45,7 +45,7 @@ class LookAtTask(GainedTask):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LookAtTerm(MinkTerm):
     """Rows of a `look_at` task, by mink's LookAtTask: e = d̂ − a for the target's direction d̂."""
 

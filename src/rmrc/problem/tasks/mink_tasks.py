@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MinkTerm(Term):
     """A term whose error and Jacobian come from a mink task of unit cost and gain."""
 

@@ -54,7 +54,7 @@ class PostureTask(GainedTask, WeightedTask):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PostureTerm(Term):
     """A `posture` task: e = q* ⊖ q on the manifold, J = I."""
 

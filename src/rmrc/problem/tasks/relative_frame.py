@@ -37,10 +37,11 @@ class RelativeFrameTask(PoseTask):
             frame=frame,
             root=root,
             clamp=(self.clamp.position or float("inf"), self.clamp.orientation or float("inf")),
+            preserve=self.preserve is not None,
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RelativeFrameTerm(MinkTerm, PoseTerm):
     """Rows of a `relative_frame` task, by mink's RelativeFrameTask.
 

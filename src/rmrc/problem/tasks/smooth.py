@@ -29,7 +29,7 @@ class SmoothTask(WeightedTask):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SmoothTerm(Term):
     """A `smooth` task: ẋ = v_prev, J = I."""
 

@@ -47,7 +47,7 @@ class VelocityTask(WeightedTask):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class VelocityTerm(Term):
     """A `velocity` task: ẋ = v*, J = I; the error reported is v* − v_prev."""
 

@@ -34,6 +34,8 @@ class DAQP(Backend):
         super().__init__(polished=False)
         self._settings = {
             "primal_tol": 1e-12 if tolerance is None else tolerance,
+            # Of the proximal iterations that a singular H takes; 1e-6 of its own is too loose.
+            "eta_prox": 1e-12 if tolerance is None else tolerance,
             # DAQP stops in front of the iteration of this number.
             "iter_limit": (10_000 if max_iter is None else max_iter) + 1,
         }

@@ -1,0 +1,75 @@
+"""Targets on their paths: where each task should be at a time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.config.mistakes import Mistake, config_error
+from rmrc.config.models import Config
+from rmrc.control.controller import Controller
+from rmrc.control.paths import Trajectory
+from rmrc.errors import ConfigError
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Aim:
+    """One task's target on its path."""
+
+    term: Term
+    path: Trajectory
+    pose: Array
+    twist: Array
+
+    def sample(self, now: float) -> None:
+        """Look up where the target is at a time from the start, s."""
+        self.path.sample(now, self.pose, self.twist)
+
+    def set_on(self, controller: Controller, moving: bool = True) -> None:
+        """Hand the target over, with its velocity or at rest."""
+        twist = self.twist if moving and self.twist.any() else None
+        if self.term.target_kind == "pose":
+            controller.set_target(self.term.name, self.pose[:3], self.pose[3:], twist)
+        else:
+            velocity = None if twist is None else twist[:3]
+            controller.set_target(self.term.name, self.pose[:3], velocity=velocity)
+
+
+def build_aims(problem: Problem) -> list[Aim]:
+    """Build the paths of all targets from where the targets are at the start.
+
+    Raises:
+        ConfigError: If a path does not exist from there.
+    """
+    aims, mistakes = [], []
+    for name, model in problem.config.targets.items():
+        term = problem.named(name)
+        start = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        if term.target_kind == "pose":
+            start[:3], start[3:] = term.target[4:], term.target[:4]
+        else:
+            start[:3] = term.target
+        try:
+            path = model.build(start, problem.config.root)
+        except ConfigError as mistake:
+            mistakes.append(Mistake(("targets", name), str(mistake)))
+        else:
+            aims.append(Aim(term, path, np.empty(7), np.empty(6)))
+    if mistakes:
+        raise config_error(mistakes, problem.config)
+    return aims
+
+
+def unfinished(aims: Sequence[Aim], config: Config) -> list[str]:
+    """Return what there is to say about paths that are longer than the run."""
+    late = [aim for aim in aims if aim.path.duration > config.duration + 0.5 * config.dt]
+    return [
+        f"the run of {config.duration:g} s ends before the path of '{aim.term.name}', "
+        f"which takes {aim.path.duration:g} s"
+        for aim in late
+    ]

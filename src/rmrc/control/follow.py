@@ -1,0 +1,126 @@
+"""The three ways of following a path: resolved rates, every pose solved, joints interpolated."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.config.mistakes import Mistake, config_error
+from rmrc.control.aims import Aim
+from rmrc.control.controller import Controller
+from rmrc.control.paths.base import TimedPath
+from rmrc.control.paths.profiles import PROFILES
+from rmrc.control.step import Step
+from rmrc.problem.problem import Problem
+from rmrc.reaching.converge import Reacher
+
+Array = NDArray[np.float64]
+
+
+class Follower(Protocol):
+    """Turns the targets of a moment into a step."""
+
+    solves: int
+    """How often the method has been solved so far."""
+
+    def step(self, now: float, q: Array | None) -> Step:
+        """Return the step at a time from the start, s, from q (nq,) or the last step's end."""
+        ...
+
+
+class RateFollower:
+    """`rate`: one solve a step, on the rate that the path and the error ask for."""
+
+    def __init__(self, controller: Controller, aims: Sequence[Aim]):
+        self._controller, self._aims, self.solves = controller, aims, 0
+
+    def step(self, now: float, q: Array | None) -> Step:
+        """Hand the targets over and solve."""
+        for aim in self._aims:
+            aim.set_on(self._controller)
+        self.solves += 1
+        return self._controller.step(q)
+
+
+class WaypointFollower:
+    """`waypoints`: the pose that the path has one step later is solved to convergence."""
+
+    def __init__(self, controller: Controller, aims: Sequence[Aim]):
+        self._controller, self._aims, self.solves = controller, aims, 0
+        self._reacher = Reacher(controller.problem)
+
+    def step(self, now: float, q: Array | None) -> Step:
+        """Solve the next pose and command the difference."""
+        for aim in self._aims:
+            aim.set_on(self._controller, moving=False)
+        for aim in self._aims:
+            aim.sample(now + self._controller.problem.dt)
+            aim.set_on(self._reacher.controller, moving=False)
+        here = self._controller.q if q is None else q
+        reached = self._reacher.solve(here)
+        self.solves += reached.iterations
+        return self._controller.command(_difference(self._controller, here, reached.q), q)
+
+
+class JointFollower:
+    """`joint`: the poses at both ends are solved, and the joints go from one to the other.
+
+    q(t) = q₀ ⊕ s(t) (q₁ ⊖ q₀), with the profile s of the path.
+    """
+
+    def __init__(self, controller: Controller, aims: Sequence[Aim]):
+        self._controller, self._aims = controller, aims
+        path = self._timed(controller.problem)
+        self._profile = PROFILES[path.profile]
+        self._delay = path.delay
+        self._duration = max(aim.path.duration for aim in aims) - path.delay
+        reacher = Reacher(controller.problem)
+        ends = []
+        self.solves, q = 0, controller.problem.start
+        for end in (0.0, max(aim.path.duration for aim in aims)):
+            for aim in aims:
+                aim.sample(end)
+                aim.set_on(reacher.controller, moving=False)
+            reached = reacher.solve(q)
+            q = reached.q
+            self.solves += reached.iterations
+            ends.append(q)
+        self._begin = ends[0]
+        self._tangent = _difference(controller, ends[0], ends[1], 1.0)
+
+    @staticmethod
+    def _timed(problem: Problem) -> TimedPath:
+        """Return the one timed path whose profile the joints take over."""
+        timed = [p for p in problem.config.targets.values() if isinstance(p, TimedPath)]
+        if not timed:
+            raise config_error(
+                [Mistake(("follow",), "joint needs a target on a path with a duration or a speed")],
+                problem.config,
+            )
+        return timed[0]
+
+    def step(self, now: float, q: Array | None) -> Step:
+        """Command the difference to where the joints should be one step later."""
+        for aim in self._aims:
+            aim.set_on(self._controller, moving=False)
+        controller = self._controller
+        later = (now + controller.problem.dt - self._delay) / self._duration
+        share, _ = self._profile.at(min(max(later, 0.0), 1.0))
+        wanted = self._begin.copy()
+        mujoco.mj_integratePos(controller.problem.model, wanted, self._tangent, share)
+        here = controller.q if q is None else q
+        return controller.command(_difference(controller, here, wanted), q)
+
+
+FOLLOWERS = {"rate": RateFollower, "waypoints": WaypointFollower, "joint": JointFollower}
+"""The class of each way of following."""
+
+
+def _difference(controller: Controller, a: Array, b: Array, dt: float | None = None) -> Array:
+    """Return the velocity (nv,) that leads from a to b in dt seconds, by default one step."""
+    v = np.empty(controller.problem.model.nv)
+    seconds = controller.problem.dt if dt is None else dt
+    mujoco.mj_differentiatePos(controller.problem.model, v, seconds, a, b)
+    return v

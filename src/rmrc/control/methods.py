@@ -1,0 +1,199 @@
+"""The closed forms as methods of a run: the same tasks, paths and record as the QP's."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc import reference
+from rmrc.config.mistakes import Mistake, config_error
+from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
+from rmrc.qp.assemble import Assembly, square_root
+from rmrc.qp.program import KKT, Solution, SolveStatus
+
+Array = NDArray[np.float64]
+
+UNCERTIFIED = KKT(np.nan, np.nan, np.nan)
+"""A closed form solves no program, and so has no residuals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ask:
+    """What a step asks of a closed form: the rows of the highest level, and what else there is."""
+
+    problem: Problem
+    evaluation: Evaluation
+    assembly: Assembly
+    rows: NDArray[np.intp]
+    """The rows of the highest level that have a weight."""
+    weight: Array
+    """B of those rows (m, m)."""
+    dt: float
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """J (m, n)."""
+        return self.evaluation.jacobian[np.ix_(self.rows, self.problem.dofs)]
+
+    @cached_property
+    def rate(self) -> Array:
+        """ẋ = K e + ẋ_ff (m,)."""
+        return self.assembly.rate[self.rows]
+
+    @property
+    def metric(self) -> Array:
+        """A (n, n)."""
+        return self.assembly.metric
+
+
+def _descent(ask: Ask) -> Array:
+    """Return one step of gradient descent on ½ eᵀBe with a line search, as a velocity."""
+    evaluation, problem = ask.evaluation, ask.problem
+    start, root = evaluation.data.qpos.copy(), square_root(ask.weight)
+
+    def at(step: Array) -> Array:
+        evaluation.move(start, problem.dofs, step)
+        return -root @ evaluation.error[ask.rows]
+
+    def jacobian(step: Array) -> Array:
+        evaluation.move(start, problem.dofs, step)
+        return root @ evaluation.jacobian[np.ix_(ask.rows, problem.dofs)]
+
+    rest = np.zeros(problem.dofs.size)
+    found = reference.descent(
+        np.zeros(ask.rows.size), rest, at, jacobian, tolerance=0.0, max_iterations=1
+    )
+    evaluation.move(start, problem.dofs, rest)
+    return found.q / ask.dt
+
+
+METHODS: dict[str, Callable[[Ask], Array]] = {
+    "inverse": lambda ask: reference.inverse(ask.jacobian, ask.rate),
+    "transpose": lambda ask: reference.transpose(ask.jacobian, ask.rate),
+    "pinv": lambda ask: reference.pinv(ask.jacobian, ask.rate),
+    "weighted": lambda ask: reference.weighted(ask.jacobian, ask.rate, ask.metric),
+    "dls": lambda ask: reference.weighted_dls(
+        ask.jacobian, ask.rate, ask.metric, ask.weight, ask.problem.damping
+    ),
+    "sdls": lambda ask: reference.selectively_damped(ask.jacobian, ask.rate * ask.dt) / ask.dt,
+    "nullspace": lambda ask: reference.prioritized(
+        [(level.rows, level.rate) for level in ask.assembly.levels()[:-1]],
+        damping=ask.problem.damping,
+    ),
+    "saturated": lambda ask: reference.saturated(
+        ask.jacobian, ask.rate, ask.assembly.qp.lb, ask.assembly.qp.ub
+    ),
+    "descent": _descent,
+}
+"""The closed form of each method."""
+
+WITHIN_LIMITS = frozenset({"saturated"})
+"""The methods that keep the limits of the joints."""
+ALL_LEVELS = frozenset({"nullspace"})
+"""The methods that have tasks below the highest level, and tasks on the joints."""
+
+
+def ignored(problem: Problem) -> list[Term]:
+    """Return the tasks that the problem's method has no place for."""
+    method = problem.config.method
+    highest = min((t.level for t in problem.terms if t.rows and not t.joint), default=0)
+    if method == "qp":
+        return []
+    if method in ALL_LEVELS:
+        return [term for term in problem.terms if not term.rows]
+    return [t for t in problem.terms if t.joint or not t.rows or t.level > highest]
+
+
+def shortcomings(problem: Problem) -> list[str]:
+    """Return what the problem's method cannot honour, a sentence each."""
+    method, lines = problem.config.method, []
+    if method == "qp":
+        return lines
+    if method not in WITHIN_LIMITS:
+        lines.append(f"method {method} keeps no limits; what it passes is counted as violations")
+    if absent := ignored(problem):
+        names = ", ".join(term.name for term in absent)
+        lines.append(f"method {method} has no place for the tasks {names}")
+    return lines
+
+
+class ClosedFormEngine:
+    """Turns q, v_prev, the targets and dt into the v of a closed form."""
+
+    name = "python"
+    scaled = False
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.evaluation = Evaluation(problem)
+        self.assembly = Assembly(problem, self.evaluation)
+        self.outside = False
+        self._method = METHODS[problem.config.method]
+        left_out = {term.name for term in ignored(problem)}
+        kept = [t for t in self.evaluation.terms if not t.joint and t.name not in left_out]
+        weights = [np.diag(t.weight) if t.weight.ndim == 1 else t.weight for t in kept]
+        weight = np.zeros((0, 0))
+        for block in weights:
+            corner = np.zeros((len(weight), len(block)))
+            weight = np.block([[weight, corner], [corner.T, block]])
+        rows = np.concatenate(
+            [np.arange(s.start, s.stop) for s in map(self._slice, kept)] or [np.zeros(0, np.intp)]
+        ).astype(np.intp)
+        weighed = np.diagonal(weight) > 0.0
+        self._rows, self._weight = rows[weighed], weight[np.ix_(weighed, weighed)]
+        if mistake := self._misfit():
+            raise config_error([mistake], problem.config)
+
+    def _misfit(self) -> Mistake | None:
+        """Return why the method cannot run on this problem at all."""
+        method, n, rows = self.problem.config.method, self.problem.dofs.size, self._rows.size
+        if not rows and method not in ALL_LEVELS:
+            return Mistake(
+                ("method",), f"{method} needs a task with a weight on a frame or a point"
+            )
+        if method == "inverse" and rows != n:
+            return Mistake(
+                ("method",),
+                f"inverse needs as many task rows as dofs, and there are {rows} rows and {n} dofs; "
+                "pinv takes any number",
+            )
+        if method == "weighted" and np.linalg.matrix_rank(self.assembly.metric) < n:
+            return Mistake(("method",), "weighted needs a metric that weighs every dof: set metric")
+        return None
+
+    def _slice(self, term: Term) -> slice:
+        return self.evaluation.rows_of([term])
+
+    def reset(self) -> None:
+        """A closed form remembers nothing."""
+
+    def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
+        """Evaluate and assemble without solving; return whether a joint is outside its range."""
+        self.evaluation.v_previous[:] = v_previous
+        self.evaluation.update(q)
+        self.evaluation.evaluate()
+        return self.assembly.assemble(q, dt)
+
+    def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
+        """Return the closed form's v at q (nq,) for a step of dt seconds.
+
+        Where it has none, as an inverse at a singularity, v is the brake.
+        """
+        self.outside = self.prepare(q, v_previous, dt)
+        qp = self.assembly.qp
+        ask = Ask(self.problem, self.evaluation, self.assembly, self._rows, self._weight, dt)
+        solution = Solution.at_rest(qp)
+        solution.kkt = UNCERTIFIED
+        try:
+            v = self._method(ask)
+        except ValueError:
+            v = np.full(qp.g.size, np.nan)
+        if np.isfinite(v).all():
+            solution.v, solution.status = v, SolveStatus.SOLVED
+        else:
+            solution.v = np.clip(solution.v, qp.lb, qp.ub)
+        return solution

@@ -1,0 +1,1 @@
+"""Position inverse kinematics: poses solved to convergence."""

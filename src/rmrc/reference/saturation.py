@@ -1,0 +1,183 @@
+"""Joint velocities inside a box: saturation in the null space, and damped least squares."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rmrc.reference import arguments, linear
+from rmrc.reference.arguments import Array
+
+# What passes a limit by less than this share of v is inside; so is a task slowed by less.
+ROUNDING = 1e-12
+# A joint whose column of the remaining null space is shorter than this is held by the task.
+HELD = 1e-9
+
+
+def saturated(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
+    """Return the least-norm joint velocity inside the limits, the task slowed as little as needed.
+
+        min ½‖v‖²  subject to  Jv = sẋ,  lower ≤ v ≤ upper,  with the largest s ≤ 1 that admits one
+
+    It starts from v = sJ⁺ẋ, saturates the joint that passes its limit the furthest, lets the
+    others make up for it in the null space, v = sJ⁺ẋ + N[:, W]μ for the saturated joints W, and
+    releases a joint whose multiplier μ changes sign; so it ends at the optimum of this QP. When
+    the joints in W leave no motion to make up with, they say how large s can be. Where ẋ is not in
+    the range of J, its projection JJ⁺ẋ takes its place. s = ⟨ẋ, Jv⟩/⟨ẋ, JJ⁺ẋ⟩.
+
+    Args:
+        J: Jacobian (m, n), rows in m/rad or rad/rad.
+        xdot: task velocity ẋ (m,), m/s or rad/s.
+        lower: lower limits of v, a number or (n,), rad/s; −inf where there is none.
+        upper: upper limits, in the same way.
+
+    Returns:
+        v (n,), rad/s, with lower ≤ v ≤ upper.
+
+    Raises:
+        ValueError: lower > upper; no v inside the limits has Jv = sẋ with 0 ≤ s ≤ 1, which takes
+            limits that exclude v = 0; an argument is mis-shaped.
+
+    Source: Flacco, De Luca and Khatib, Motion control of redundant robots under joint constraints:
+    saturation in the null space, ICRA 2012, and Control of redundant robots under hard joint
+    constraints: saturation in the null space, IEEE Transactions on Robotics 31(3), 2015 (the
+    optimal variant). The active set: Goldfarb and Idnani, A numerically stable dual method for
+    solving strictly convex quadratic programs, Mathematical Programming 27, 1983.
+    """
+    J, xdot = arguments.task(J, xdot)
+    lower, upper = arguments.bounds(lower, upper, J.shape[1])
+    U, sigma, V = linear.singular_values(J, None)
+    free = V @ ((U.T @ xdot) / sigma)
+    if (lower <= free).all() and (free <= upper).all():
+        return free
+    Z = np.linalg.qr(V, mode="complete").Q[:, V.shape[1] :]  # N = ZZᵀ
+    scale = 1.0
+    while True:
+        v, normal = _nearest(Z, scale * free, lower, upper)
+        if normal is None:
+            return v
+        # No motion of the null space changes normalᵀv = s · normalᵀJ⁺ẋ; the box ends at `edge`.
+        held = normal != 0.0
+        edge = normal[held] @ np.where(normal > 0.0, upper, lower)[held]
+        speed = normal @ free
+        if edge < 0.0 or speed <= 0.0:
+            raise ValueError("lower, upper: no v inside them has J v = s xdot with 0 ≤ s ≤ 1")
+        if edge >= (1.0 - ROUNDING) * scale * speed:
+            return v
+        scale = edge / speed
+
+
+def bounded_dls(
+    J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike, damping: float
+) -> Array:
+    """Return the damped least-squares joint velocity inside the limits.
+
+        min ½‖Jv − ẋ‖² + ½λ²‖v‖²  subject to  lower ≤ v ≤ upper
+
+    It is the quadratic program of one task in the box of the joints. Unlike `saturated` it trades
+    the direction of ẋ. With w = (ẋ − Jv)/λ it is the least norm of (v, w) for Jv + λw = ẋ, where
+    w has no limits.
+
+    Args:
+        J: Jacobian (m, n), rows in m/rad or rad/rad.
+        xdot: task velocity ẋ (m,), m/s or rad/s.
+        lower: lower limits of v, a number or (n,), rad/s; −inf where there is none.
+        upper: upper limits, in the same way.
+        damping: λ, at least 1e-8 ‖J‖, in the units of J.
+
+    Returns:
+        v (n,), rad/s, with lower ≤ v ≤ upper.
+
+    Raises:
+        ValueError: lower > upper; the damping is less than 1e-8 ‖J‖; an argument is mis-shaped.
+
+    Source: the QP of `saturated` with a slack.
+    """
+    J, xdot = arguments.task(J, xdot)
+    rows, columns = J.shape
+    lower, upper = arguments.bounds(lower, upper, columns)
+    damping = arguments.positive("damping", damping)
+    least = 10.0 * HELD * np.linalg.norm(J)
+    if damping < least:
+        raise ValueError(f"damping = {damping:.3g} is too small for this J: at least {least:.3g}")
+    none = np.full(rows, np.inf)
+    slack = np.hstack((J, damping * np.eye(rows)))
+    return saturated(slack, xdot, np.append(lower, -none), np.append(upper, none))[:columns]
+
+
+def _nearest(Z: Array, free: Array, lower: Array, upper: Array) -> tuple[Array, Array | None]:
+    """Return the v nearest to `free` in the box, over v − free in the range of Z (orthonormal).
+
+    If there is no such v, return one in the box and a normal a with Zᵀa = 0 and aᵀfree > aᵀw for
+    all w in the box. Each pass of the dual active-set method pushes the joint that is furthest
+    outside back in.
+    """
+    working = _WorkingSet(Z)
+    distance = -1.0
+    while True:
+        move = working.hold(free)
+        v = free + move
+        v[working.joints] = working.limits
+        excess = np.maximum(lower - v, v - upper)
+        j = int(excess.argmax())
+        inside = np.minimum(np.maximum(v, lower), upper)
+        moved = move.dot(move)
+        # Each pass takes v further from `free`; one that does not was rounding.
+        if excess[j] <= ROUNDING * max(1.0, abs(v[j])) or moved <= distance:
+            return inside, None
+        distance = moved
+        normal = working.push(j, 1.0 if v[j] < lower[j] else -1.0, inside[j], excess[j])
+        if normal is not None:
+            return inside, normal
+
+
+class _WorkingSet:
+    """The joints W that are held at limits: v = free + Nμ, N = ZZᵀ, with μ = 0 outside W."""
+
+    def __init__(self, Z: Array) -> None:
+        self.joints: list[int] = []
+        self._sides: list[float] = []  # +1 at a lower limit, −1 at an upper
+        self.limits: list[float] = []
+        self._sizes: list[float] = []  # |μ|
+        self._Z = Z
+        self._Q, self._R_inverse = np.eye(Z.shape[1]), np.zeros((0, 0))
+
+    def _factorize(self) -> None:
+        # Z[W]ᵀ = QR: the motions that move W, and in the other columns of Q those that do not.
+        self._Q, R = np.linalg.qr(self._Z[self.joints].T, mode="complete")
+        self._R_inverse = np.linalg.inv(R[: len(self.joints)])
+
+    def hold(self, free: Array) -> Array:
+        """Return the least motion Nμ that takes the joints W to their limits, and keep |μ|."""
+        pull = (self.limits - free[self.joints]) @ self._R_inverse
+        self._sizes = (self._sides * (self._R_inverse @ pull)).tolist()
+        return self._Z @ (self._Q[:, : pull.size] @ pull)
+
+    def push(self, j: int, side: float, limit: float, gap: float) -> Array | None:
+        """Take joint j into W, releasing the joints whose |μ| falls to zero before its gap closes.
+
+        If the joints of W leave it no motion, return the normal of the limits that stop it.
+        """
+        while True:
+            held = len(self.joints)
+            row = self._Z[j] @ self._Q
+            response = (self._R_inverse @ row[:held]).tolist()
+            give = row[held:] @ row[held:]
+            time, released = (gap / give if give > HELD**2 else np.inf), -1
+            falls = [side * own * change for own, change in zip(self._sides, response, strict=True)]
+            for i, (size, fall) in enumerate(zip(self._sizes, falls, strict=True)):
+                if fall > ROUNDING and size < time * fall:
+                    time, released = size / fall, i
+            if time == np.inf:
+                normal = np.zeros(len(self._Z))
+                normal[self.joints], normal[j] = np.multiply(side, response), -side
+                return normal
+            if released < 0:
+                self.joints.append(j)
+                self._sides.append(side)
+                self.limits.append(limit)
+                self._factorize()
+                return None
+            gap -= time * give
+            self._sizes = [s - time * fall for s, fall in zip(self._sizes, falls, strict=True)]
+            for column in (self.joints, self._sides, self.limits, self._sizes):
+                del column[released]
+            self._factorize()

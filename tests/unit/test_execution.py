@@ -1,0 +1,482 @@
+"""`execute: actuated`: joint controllers in the physics, and what comes back from the joints."""
+
+import copy
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from models import REPOSITORY
+
+import rmrc
+from rmrc.config.load import parse_override
+from rmrc.control.check import check
+from rmrc.control.controller import Controller
+from rmrc.control.execution import Actuated, build_execution
+from rmrc.control.joint_control import (
+    ComputedTorque,
+    PositionServos,
+    highest_bandwidth,
+    torque_limits,
+)
+
+LINE = REPOSITORY / "configs" / "panda_line.yaml"
+UR5E = REPOSITORY / "configs" / "ur5e_waypoints.yaml"
+MOBILE = REPOSITORY / "configs" / "mobile_arm_reach.yaml"
+
+# What the joint controllers must keep of the hand's path, m RMS.
+TRACKING = 2e-3
+# Where the hand must be at rest, m: well inside what the path's end leaves kinematically.
+AT_REST = 5e-5
+# Two ways of computing a force or an acceleration: rounding alone.
+ROUNDING = 1e-9
+
+JOINT_CONTROLS = ["torque", "position"]
+FEEDBACKS = ["measured", "commanded"]
+
+
+def run(path: Path = LINE, **overrides: Any) -> rmrc.Run:
+    """Run a configuration actuated; overrides of `actuation` by their own names."""
+    return rmrc.solve(rmrc.load(path, overrides=actuated(overrides)))
+
+
+def actuated(overrides: dict[str, Any]) -> dict[str, Any]:
+    options = set(rmrc.Config.model_fields["actuation"].default.model_fields_set)
+    options |= set(type(rmrc.Config.model_fields["actuation"].default).model_fields)
+    named = {(f"actuation.{k}" if k in options else k): v for k, v in overrides.items()}
+    return {"execute": "actuated", **named}
+
+
+def hand_error(run: rmrc.Run) -> np.ndarray:
+    return run.error[next(iter(run.error))][:, 0]
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def altered(tmp_path: Path, scene: str, *changes: tuple[str, str]) -> str:
+    """Write a copy of a scene with text replaced; return its path."""
+    for source in (REPOSITORY / "scenes").rglob("*.xml"):
+        text = source.read_text()
+        for old, new in changes:
+            text = text.replace(old, new)
+        target = tmp_path / source.relative_to(REPOSITORY)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text)
+    return str(tmp_path / "scenes" / f"{scene}.xml")
+
+
+WITHOUT_COMPENSATION = (' gravcomp="1"', "")
+
+
+# Tracking
+
+
+@pytest.mark.parametrize("feedback", FEEDBACKS)
+@pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
+def test_the_line_is_kept(joint_control: str, feedback: str) -> None:
+    line = run(joint_control=joint_control, feedback=feedback)
+    assert line.summary["converged"]
+    assert rms(hand_error(line)) < TRACKING
+    assert not np.array_equal(line.q, line.q_commanded)
+
+
+@pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
+@pytest.mark.parametrize("path", [UR5E, MOBILE], ids=["ur5e", "mobile_arm"])
+def test_other_robots_keep_their_paths(path: Path, joint_control: str) -> None:
+    followed = run(path, joint_control=joint_control, dt=0.004)
+    assert followed.summary["converged"]
+    assert rms(hand_error(followed)) < TRACKING
+
+
+@pytest.mark.parametrize(
+    ("path", "joint_control"), [(LINE, "torque"), (UR5E, "torque"), (UR5E, "position")]
+)
+@pytest.mark.parametrize(("dt", "latency"), [(0.001, 5), (0.005, 1)], ids=["1ms", "5ms"])
+def test_the_loop_is_stable_with_a_latency_of_5_ms(
+    path: Path, joint_control: str, dt: float, latency: int
+) -> None:
+    late = run(path, joint_control=joint_control, dt=dt, latency=latency)
+    assert late.summary["converged"]
+    assert rms(hand_error(late)) < TRACKING
+    still = np.abs(late.v[late.time > late.time[-1] - 0.5])
+    assert still.max() < 1e-3
+
+
+@pytest.mark.parametrize("feedback", FEEDBACKS)
+def test_computed_torques_carry_the_arm_without_compensation(feedback: str, tmp_path: Path) -> None:
+    scene = altered(tmp_path, "panda", WITHOUT_COMPENSATION)
+    line = run(scene=scene, feedback=feedback)
+    assert line.summary["converged"]
+    assert rms(hand_error(line)) < TRACKING
+
+
+def test_measured_feedback_takes_back_what_position_servos_give_way(tmp_path: Path) -> None:
+    scene = altered(tmp_path, "ur5e", WITHOUT_COMPENSATION)
+    options = {"scene": scene, "joint_control": "position", "targets": {}, "duration": 3.0}
+    final = {f: hand_error(run(UR5E, feedback=f, **options))[-1] for f in FEEDBACKS}
+    assert final["commanded"] > 5e-3
+    assert final["measured"] < AT_REST
+
+
+def test_joints_left_out_of_the_dofs_are_held(tmp_path: Path) -> None:
+    scene = altered(tmp_path, "panda", WITHOUT_COMPENSATION)
+    moving = [f"joint{i}" for i in range(1, 7) if i != 3]
+    held = run(scene=scene, dofs=moving, duration=1.0)
+    assert np.abs(held.q[:, [2, 6]] - held.q[0, [2, 6]]).max() < 1e-3
+    assert np.abs(np.diff(held.q, axis=0)).max() > 0
+
+
+# Feedback
+
+
+@pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
+def test_commanded_feedback_sees_nothing_of_the_robot(joint_control: str) -> None:
+    push = {"body": "gripper", "force": [0, 30, 0], "start": 0.1, "duration": 0.2}
+    blind = run(
+        joint_control=joint_control, feedback="commanded", noise=0.01, push=push, duration=0.5
+    )
+    kinematic = rmrc.solve(rmrc.load(LINE, overrides={"duration": 0.5}))
+    assert np.array_equal(blind.v, kinematic.v)
+    assert blind.q_commanded is not None
+    assert np.abs(blind.q_commanded - kinematic.q).max() < ROUNDING
+    assert np.abs(blind.q - kinematic.q).max() > 1e-4
+
+
+def test_errors_velocities_and_configurations_are_those_of_the_robot() -> None:
+    config = rmrc.load(LINE, overrides=actuated({"noise": 0.01, "latency": 20, "duration": 2.0}))
+    noisy = rmrc.solve(config)
+    problem = rmrc.compile(config)
+    path = config.targets["hand"].build(
+        np.concatenate([[*problem.term["hand"].target[4:]], problem.term["hand"].target[:4]]),
+        config.root,
+    )
+    pose, twist = np.empty(7), np.empty(6)
+    for k in range(0, len(noisy.time), 100):
+        path.sample(noisy.time[k], pose, twist)
+        distance = np.linalg.norm(problem.forward(noisy.q[k])["hand"][:3, 3] - pose[:3])
+        assert hand_error(noisy)[k] == pytest.approx(distance, abs=ROUNDING)
+    # A velocity between two configurations is that at their middle up to the curvature.
+    between = np.diff(noisy.q, axis=0) / problem.dt
+    middle = 0.5 * (noisy.v_measured[1:] + noisy.v_measured[:-1])
+    assert np.abs(between - middle).max() < 0.05 * np.abs(middle).max()
+
+
+def measurements(latency: int, noise: float, steps: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the steps got, and the true configurations, of a moving arm."""
+    problem = rmrc.compile(
+        rmrc.load(LINE, overrides=actuated({"latency": latency, "noise": noise, "duration": 1.0}))
+    )
+    execution, controller = build_execution(problem), Controller(problem)
+    controller.set_target("hand", [0.5, 0.2, 0.4])
+    targets = controller.engine.evaluation.target
+    got, true = [], []
+    for _ in range(steps):
+        q = execution.feedback()
+        assert q is not None
+        step = controller.step(q)
+        got.append(q)
+        true.append(execution.state(step, targets).q.copy())
+        execution.carry_out(step)
+    return np.array(got), np.array(true)
+
+
+@pytest.mark.parametrize("latency", [0, 1, 7])
+def test_a_measurement_is_late_by_exactly_the_latency(latency: int) -> None:
+    got, true = measurements(latency, 0.0)
+    assert np.array_equal(got[latency:], true[: len(true) - latency])
+    assert np.array_equal(got[:latency], np.tile(true[0], (latency, 1)))
+    assert (np.diff(true[5:], axis=0).any(axis=1)).all()
+
+
+def test_noise_is_normal_with_the_deviation_asked_for() -> None:
+    got, true = measurements(0, 0.01, steps=500)
+    noise = (got - true) / 0.01
+    # 3500 samples: their mean is within 4/√3500 of 0, their deviation within 4/√7000 of 1.
+    assert abs(noise.mean()) < 4 / np.sqrt(noise.size)
+    assert abs(noise.std() - 1.0) < 4 / np.sqrt(2 * noise.size)
+    assert abs(np.mean(np.abs(noise) < 1.0) - 0.683) < 0.03
+    white = np.mean(noise[1:] * noise[:-1])
+    assert abs(white) < 4 / np.sqrt(noise.size)
+
+
+def test_a_seed_gives_the_same_run_bit_for_bit_and_another_seed_another() -> None:
+    push = {"body": "link5", "torque": [0, 0, 5], "start": 0.2, "duration": 0.1}
+    options = {"noise": 1e-3, "latency": 2, "push": push, "duration": 0.6}
+    first, second = (run(seed=3, **options) for _ in range(2))
+    other = run(seed=4, **options)
+    for name in ("time", "q", "v", "v_measured", "q_commanded", "status", "active", "kkt"):
+        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+    assert np.array_equal(hand_error(first), hand_error(second))
+    assert not np.array_equal(first.q, other.q)
+    assert (first.manifest["seed"], other.manifest["seed"]) == (3, 4)
+
+
+# The push, and what cannot be followed
+
+
+@pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
+def test_a_push_displaces_the_arm_and_it_comes_back(joint_control: str) -> None:
+    push = {"body": "wrist_3_link", "force": [60, 0, 0], "start": 0.5, "duration": 0.25}
+    still = {"joint_control": joint_control, "targets": {}, "duration": 2.5}
+    pushed, calm = run(UR5E, push=push, **still), run(UR5E, **still)
+    error = hand_error(pushed)
+    before = pushed.time <= 0.5
+    assert np.array_equal(pushed.q[before], calm.q[before])
+    assert error[~before].max() > 1e-3
+    assert pushed.time[error.argmax()] < 0.85
+    assert error[-1] < AT_REST
+
+
+@pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
+def test_set_points_do_not_wind_up_where_the_force_saturates(joint_control: str) -> None:
+    push = {"body": "wrist_3_link", "force": [0, 0, -400], "start": 0.5, "duration": 1.0}
+    pushed = run(UR5E, joint_control=joint_control, targets={}, push=push, duration=4.0)
+    error, after = hand_error(pushed), pushed.time > 1.5
+    assert error[~after].max() > 0.4
+    # Wound up, the arm would be thrown twice as far once it is let go.
+    assert error[after].max() < 1.25 * error[~after].max()
+    assert error[-1] < AT_REST
+
+
+@pytest.mark.parametrize(("dt", "latency"), [(0.002, 0), (0.002, 3), (0.01, 1)])
+def test_a_joint_at_the_end_of_its_range_stands_still(dt: float, latency: int) -> None:
+    posture = {"name": "p", "type": "posture", "target": {"joint1": 3.5, "joint4": -1.5}}
+    stopped = run(dt=dt, latency=latency, tasks=[posture], targets={}, duration=3.0)
+    late = stopped.time > 2.5
+    assert stopped.q[-1, 0] == pytest.approx(2.8973 - 0.01, abs=1e-3)
+    assert np.ptp(stopped.v[late], axis=0).max() < 1e-3
+
+
+DIVERGING = {"body": "gripper", "force": [1e15, 0, 0], "start": 0.1, "duration": 0.1}
+
+
+def test_a_simulation_that_fails_ends_the_run_with_a_notice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    failed = run(push=DIVERGING, duration=1.0)
+    assert failed.time[-1] == pytest.approx(0.1)
+    assert not failed.summary["converged"]
+    assert "the simulation failed" in failed.manifest["notices"][0]
+    assert "unstable" in failed.manifest["notices"][0]
+    assert all(np.isfinite(array).all() for array in (failed.q, failed.v, failed.v_measured))
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_simulation_that_fails_exits_1_with_the_run_saved(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "rmrc", "solve", LINE, "--out", "run", "--json"]
+    settings = {"execute": "actuated", "actuation.push": json.dumps(DIVERGING)}
+    for setting in settings.items():
+        command += ["--set", "=".join(setting)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert json.loads(done.stdout)["converged"] is False
+    assert done.stderr == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert len(rmrc.Run.load(tmp_path / "run").time) == 51
+
+
+# The record
+
+
+def test_set_points_are_recorded_where_there_are_any(tmp_path: Path) -> None:
+    actual = run(duration=0.1)
+    loaded = rmrc.Run.load(actual.save(tmp_path / "actuated", report=False))
+    assert actual.q_commanded is not None
+    assert loaded.q_commanded is not None
+    assert np.array_equal(actual.q_commanded, loaded.q_commanded)
+    kinematic = rmrc.solve(rmrc.load(LINE, overrides={"duration": 0.1}))
+    assert kinematic.q_commanded is None
+    loaded = rmrc.Run.load(kinematic.save(tmp_path / "kinematic", report=False))
+    assert loaded.q_commanded is None
+
+
+# The joint controllers
+
+
+def moving(model: mujoco.MjModel, seed: int) -> tuple[mujoco.MjData, np.ndarray, np.ndarray]:
+    """Return a random state in motion, and set points near it with their velocities."""
+    rng = np.random.default_rng(seed)
+    data = mujoco.MjData(model)
+    low, high = model.jnt_range.T
+    data.qpos[:] = rng.uniform(low, high)
+    data.qvel[:] = rng.normal(size=model.nv)
+    return data, data.qpos + 0.01 * rng.normal(size=model.nq), rng.normal(size=model.nv)
+
+
+TORQUE_SCENE = """
+<mujoco>
+  <worldbody>
+    <body gravcomp="{gravcomp}">
+      <joint name="a" axis="0 1 0" range="-2 2" stiffness="3" damping="0.7" armature="0.1"
+        actuatorgravcomp="{actuator}"/>
+      <geom type="capsule" fromto="0 0 0 0.4 0.1 0" size="0.03" contype="0" conaffinity="0"/>
+      <body pos="0.4 0.1 0">
+        <joint name="b" type="slide" axis="1 0 1" range="-0.2 0.2" springref="0.1" stiffness="9"/>
+        <geom type="sphere" size="0.05" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="a"/> <position joint="a" kp="100"/> <velocity joint="b" kv="10"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("gravcomp", "actuator"), [(0, "false"), (1, "false"), (1, "true")])
+def test_computed_torques_give_the_acceleration_asked_for(
+    gravcomp: int, actuator: str, seed: int
+) -> None:
+    xml = TORQUE_SCENE.format(gravcomp=gravcomp, actuator=actuator)
+    model = mujoco.MjModel.from_xml_string(xml)
+    joints = ComputedTorque(model, np.arange(2), bandwidth=30.0, damping_ratio=0.8)
+    data, q, v = moving(model, seed)
+    mujoco.mj_step1(model, data)
+    joints.drive(data, q, v)
+    mujoco.mj_forward(model, data)
+    wanted = 30.0**2 * (q - data.qpos) + 2 * 0.8 * 30.0 * (v - data.qvel)
+    np.testing.assert_allclose(data.qacc, wanted, rtol=ROUNDING)
+
+
+SERVO_SCENE = """
+<mujoco>
+  <worldbody>
+    <body>
+      <joint name="a" axis="0 1 0" range="-2 2"/> <geom type="capsule" size="0.03 0.2"/>
+      <body pos="0 0 0.5">
+        <joint name="b" type="slide" axis="1 0 0" range="-1 1"/> <geom type="sphere" size="0.1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="a" gear="0.001"/>
+    <position joint="a" kp="200" kv="10" gear="3"/>
+    <general joint="b" gaintype="fixed" gainprm="50" biastype="affine" biasprm="4 -80 -6"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_position_actuators_pull_towards_the_moving_set_point(seed: int) -> None:
+    model = mujoco.MjModel.from_xml_string(SERVO_SCENE)
+    data, q, v = moving(model, seed)
+    PositionServos(model).drive(data, q, v)
+    mujoco.mj_forward(model, data)
+    stiffness, damping = np.array([200 * 9, 80]), np.array([10 * 9, 6])
+    wanted = stiffness * (q - data.qpos) + damping * (v - data.qvel)
+    np.testing.assert_allclose(data.qfrc_actuator, wanted, rtol=ROUNDING)
+    assert data.ctrl[0] == 0.0
+
+
+def test_torques_keep_the_limits_of_the_model_where_the_reach_ends() -> None:
+    scene = str(REPOSITORY / "scenes" / "panda.xml")
+    model = mujoco.MjModel.from_xml_path(scene)
+    limits = np.array([87.0] * 4 + [12.0] * 3)
+    assert np.array_equal(torque_limits(model), limits)
+    model.jnt_actfrclimited[3], model.jnt_actfrcrange[3] = True, (-40, 40)
+    limits[3] = 40.0
+    assert np.array_equal(torque_limits(model), limits)
+    driven = copy.copy(model)
+    joints = ComputedTorque(driven, np.arange(7), bandwidth=50.0, damping_ratio=1.0)
+    data, *_ = moving(driven, seed=0)
+    mujoco.mj_step1(driven, data)
+    joints.drive(data, data.qpos + 1.0, np.zeros(7))
+    assert np.abs(data.qfrc_applied).max() <= 87.0
+    assert (np.abs(data.qfrc_applied) <= limits).all()
+    inertia = np.array([[row] for row in np.eye(7)])
+    diagonal = np.empty(7)
+    for i, (row,) in enumerate(inertia):
+        column = np.empty(7)
+        mujoco.mj_mulM(driven, data, column, row)
+        diagonal[i] = column[i]
+    np.testing.assert_allclose(joints.reach(data), limits / (50.0**2 * diagonal), rtol=ROUNDING)
+    servos = PositionServos(model)
+    np.testing.assert_allclose(servos.reach(data), limits / ([2000] * 4 + [500] * 3))
+
+
+def test_a_joint_without_limits_has_no_end_of_its_reach() -> None:
+    model = mujoco.MjModel.from_xml_string(SERVO_SCENE)
+    assert np.isinf(torque_limits(model)).all()
+    assert np.isinf(PositionServos(model).reach(mujoco.MjData(model))).all()
+
+
+@pytest.mark.parametrize("damping_ratio", [0.3, 1.0, 2.0])
+def test_the_highest_bandwidth_is_where_the_steps_become_unstable(damping_ratio: float) -> None:
+    h = 0.002
+    for share, stable in ((0.999, True), (1.001, False)):
+        omega = share * highest_bandwidth(damping_ratio, h)
+        rate = np.array([-h * omega**2, 1.0 - 2.0 * damping_ratio * omega * h])
+        steps = np.array([[1.0, 0.0] + h * rate, rate])
+        assert (np.abs(np.linalg.eigvals(steps)).max() < 1.0) == stable
+
+
+# What cannot be
+
+
+def mistake(path: Path, **overrides: Any) -> str:
+    with pytest.raises(rmrc.ConfigError) as caught:
+        check(rmrc.load(path, overrides=actuated(overrides)))
+    return str(caught.value)
+
+
+def test_a_floating_base_is_refused() -> None:
+    biped = REPOSITORY / "configs" / "biped_balance.yaml"
+    for joint_control in JOINT_CONTROLS:
+        assert re.match(
+            "--set execute=.*floating base", mistake(biped, joint_control=joint_control)
+        )
+
+
+def test_joints_without_a_position_actuator_are_named(tmp_path: Path) -> None:
+    scene = altered(
+        tmp_path,
+        "panda",
+        ('<position class="panda" name="joint2" joint="joint2"/>', '<motor joint="joint2"/>'),
+        ('<position class="panda_wrist" name="joint6" joint="joint6"/>', ""),
+    )
+    message = mistake(LINE, scene=scene, joint_control="position")
+    assert "joints without a position actuator: joint2, joint6; leave" in message
+    assert message.startswith("--set actuation.joint_control=position: ")
+    moving = [f"joint{i}" for i in (1, 3, 4, 5, 7)]
+    check(rmrc.load(LINE, overrides=actuated({"scene": scene, "dofs": moving})))
+    assert rms(hand_error(run(scene=scene, joint_control="torque", duration=1.0))) < TRACKING
+
+
+def test_other_mistakes_have_their_place(tmp_path: Path) -> None:
+    file = tmp_path / "config.yaml"
+    text = (REPOSITORY / "configs" / "panda_actuated.yaml").read_text()
+    text = text.replace("../", f"{REPOSITORY}/").replace("gripper", "link0")
+    file.write_text(text.replace("feedback: measured ", "bandwidth: 1000.0"))
+    with pytest.raises(rmrc.ConfigError) as caught:
+        check(rmrc.load(file))
+    lines = [line for line in str(caught.value).splitlines() if "config.yaml" in line]
+    assert len(lines) == 2
+    assert "config.yaml:9:14: in steps of 2 ms, the physics is stable up to" in lines[0]
+    assert "config.yaml:13:16: body 'link0' is fixed to the world" in lines[1]
+    push = {"body": "griper", "duration": 1.0}
+    assert "did you mean 'gripper'?" in mistake(LINE, push=push)
+
+
+def test_a_dt_that_is_no_multiple_of_the_timestep_is_said_and_kept() -> None:
+    for dt, said in ((0.002, None), (0.006, None), (0.001, "1 ms"), (0.005, "1.667 ms")):
+        config = rmrc.load(LINE, overrides=actuated({"dt": dt, "duration": 0.3}))
+        notices = [line for line in check(config) if "the physics runs in steps of" in line]
+        assert [f"in steps of {said}:" in line for line in notices] == ([True] if said else [])
+        followed = rmrc.solve(config)
+        assert notices == [n for n in followed.manifest["notices"] if "the physics runs" in n]
+        execution = Actuated(rmrc.compile(config))
+        step = Controller(rmrc.compile(config)).step()
+        for _ in range(20):
+            execution.carry_out(step)
+        assert execution.time == pytest.approx(20 * dt, rel=ROUNDING)
