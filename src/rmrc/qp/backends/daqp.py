@@ -1,7 +1,5 @@
 """DAQP, a dual active-set method (Arnström, Bemporad and Axehill 2022): the default backend."""
 
-from ctypes import c_int
-
 import daqp
 import numpy as np
 
@@ -10,8 +8,6 @@ from rmrc.qp.program import QP, Solution, SolveStatus
 
 INFINITY = 1e30
 """DAQP's infinity: IEEE's, at a bound that was active before, makes a warm start go wrong."""
-EQUALITY = 5
-"""What marks a row as an equality in DAQP's `sense`."""
 STATUS = {
     1: SolveStatus.SOLVED,
     4: SolveStatus.SOLVED,  # but for rounding: the certificate tells by how much
@@ -34,6 +30,8 @@ class DAQP(Backend):
         super().__init__(polished=False)
         self._settings = {
             "primal_tol": 1e-12 if tolerance is None else tolerance,
+            # Of the proximal iterations that a singular H takes; 1e-6 of its own is too loose.
+            "eta_prox": 1e-12 if tolerance is None else tolerance,
             # DAQP stops in front of the iteration of this number.
             "iter_limit": (10_000 if max_iter is None else max_iter) + 1,
         }
@@ -52,12 +50,10 @@ class DAQP(Backend):
             if low.size
         ]
         self._rows = np.empty((size - n, n))
-        sense = np.zeros(size, c_int)
-        sense[n + rows :] = EQUALITY
         self._copy(qp)
         self._model = daqp.Model()
         self._model.settings = self._settings
-        flag, _ = self._model.setup(qp.H, qp.g, self._rows, self._upper, self._lower, sense)
+        flag, _ = self._model.setup(qp.H, qp.g, self._rows, self._upper, self._lower)
         return None if flag > 0 else STATUS.get(flag, SolveStatus.FAILED)
 
     def _refresh(self, qp: QP) -> SolveStatus | None:
