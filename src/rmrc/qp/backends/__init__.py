@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from importlib import import_module
 from math import inf, isfinite
+from typing import ClassVar
 
 from rmrc.errors import SolverError
 from rmrc.qp.polish import Polish
@@ -28,6 +29,10 @@ class Backend(ABC):
     and says whether its solver ends at the optimum or near it, to be polished.
     """
 
+    screened: ClassVar[bool] = True
+    """Whether each update is looked through first: numbers that are not finite cost some solvers
+    0.4 s. Where they cost nothing, the certificate is enough."""
+
     def __init__(self, *, polished: bool) -> None:
         self._polished = polished
         self._polish: Polish | None = None
@@ -46,7 +51,7 @@ class Backend(ABC):
         if qp is not self._qp or self._spoiled or self._refusal is not None:
             self.setup(qp)
         else:
-            self._refusal = qp.defect() or self._refresh(qp)
+            self._refusal = (self.screened and qp.defect()) or self._refresh(qp)
 
     def solve(self) -> Solution:
         """Return the solution of the program as it was last read.

@@ -26,6 +26,8 @@ class DAQP(Backend):
     distance by which it lets a limit be passed: 1e-6 of its own accord, 1e-12 here.
     """
 
+    screened = False
+
     def __init__(self, max_iter: int | None = None, tolerance: float | None = None) -> None:
         super().__init__(polished=False)
         self._settings = {
