@@ -1,5 +1,7 @@
 """DAQP, a dual active-set method (Arnström, Bemporad and Axehill 2022): the default backend."""
 
+from math import isnan
+
 import daqp
 import numpy as np
 
@@ -60,6 +62,8 @@ class DAQP(Backend):
 
     def _refresh(self, qp: QP) -> SolveStatus | None:
         self._copy(qp)
+        if isnan(self._lower.dot(self._upper)):  # DAQP would call such a program solved
+            return SolveStatus.FAILED
         # Without `sense` DAQP keeps its active set; a matrix of no rows it would refuse.
         rows = self._rows if self._rows.size else None
         flag = self._model.update(qp.H, qp.g, rows, self._upper, self._lower)
