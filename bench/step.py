@@ -1,17 +1,14 @@
 """The whole step beside mink's: set the targets, solve, integrate; short runs, alternating.
 
-Both have the same robot, tasks, weights, limits and dt, in one process. mink runs with the fastest of its backends
-that are installed. Prints median, p99 and the ratio of the medians, and the machine they are of;
-`--json FILE` writes them.
+Both have the same robot, tasks, weights, limits and dt, in one process. mink runs with the fastest
+of its backends that are installed. Prints median, p99 and the ratio of the medians, and the
+machine they are of; `--json FILE` writes them. `make bench` keeps BLAS to one thread: at this size
+more threads only add noise.
 """
-
-import os
-
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")  # small matrices: more threads only add noise
 
 import argparse
 import json
+import os
 import platform
 import time
 from collections.abc import Callable

@@ -62,7 +62,10 @@ class DAQP(Backend):
 
     def _refresh(self, qp: QP) -> SolveStatus | None:
         self._copy(qp)
-        if isnan(self._lower.dot(self._upper)):  # DAQP would call such a program solved
+        if self._rows.size:
+            if defect := qp.defect():
+                return defect
+        elif isnan(self._lower.dot(self._upper)):  # DAQP would call such a program solved
             return SolveStatus.FAILED
         # Without `sense` DAQP keeps its active set; a matrix of no rows it would refuse.
         rows = self._rows if self._rows.size else None
