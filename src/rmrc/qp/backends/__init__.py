@@ -66,10 +66,12 @@ class Backend(ABC):
         if self._refusal is not None:
             return Solution.at_rest(qp, self._refusal)
         solution = self._run(qp)
-        if solution.status in NO_POINT:
-            solution = Solution.at_rest(qp, solution.status, solution.iterations)
-        elif not isfinite(solution.v.dot(solution.v)):
+        if not isfinite(solution.v.dot(solution.v)):
             solution = Solution.at_rest(qp, SolveStatus.FAILED, solution.iterations)
+        elif solution.status is SolveStatus.SOLVED and self._polish is None:
+            return solution
+        elif solution.status in NO_POINT:
+            solution = Solution.at_rest(qp, solution.status, solution.iterations)
         elif self._polish is not None:
             solution = self._polish.improve(solution)
         self._spoiled = solution.status is not SolveStatus.SOLVED
