@@ -31,7 +31,7 @@ lint: $(VENV)/test.stamp
 	$(BIN)/pyright
 
 bench: $(VENV)/test.stamp
-	$(BIN)/python bench/step.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/step.py
 
 schema: $(VENV)/test.stamp
 	$(BIN)/rmrc schema > rmrc.schema.json

@@ -1,17 +1,14 @@
-"""The whole step beside mink's: set the targets, solve, integrate; alternating, in one process.
+"""The whole step beside mink's: set the targets, solve, integrate; short runs, alternating.
 
-Both have the same robot, tasks, weights, limits and dt. mink runs with the fastest of its backends
-that are installed. Prints median, p99 and the ratio of the medians, and the machine they are of;
-`--json FILE` writes them.
+Both have the same robot, tasks, weights, limits and dt, in one process. mink runs with the fastest
+of its backends that are installed. Prints median, p99 and the ratio of the medians, and the
+machine they are of; `--json FILE` writes them. `make bench` keeps BLAS to one thread: at this size
+more threads only add noise.
 """
-
-import os
-
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")  # small matrices: more threads only add noise
 
 import argparse
 import json
+import os
 import platform
 import time
 from collections.abc import Callable
@@ -32,7 +29,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 DT = 0.002
 GAIN = 0.02  # mink's, per step; ours is GAIN / DT in 1/s
 LAMBDA = 0.01
-WARM_UP, STEPS = 500, 5000
+WARM_UP, STEPS, RUN = 500, 5000, 50
 AMPLITUDE = 0.03  # m, of the targets' motion
 
 
@@ -167,11 +164,13 @@ def measure(case: Case) -> dict[str, Any]:
     problem = compile_case(case)
     solver = fastest_solver(case, problem)
     rmrc_step, mink_step = ours(case, problem), minks(case, problem, solver)
-    times = np.empty((STEPS, 2))
-    for k, offset in enumerate(offsets(WARM_UP + STEPS)):
-        both = (_timed(rmrc_step, offset), _timed(mink_step, offset))
-        if k >= WARM_UP:
-            times[k - WARM_UP] = both
+    times = np.empty((WARM_UP + STEPS, 2))
+    moves = offsets(WARM_UP + STEPS)
+    for begin in range(0, WARM_UP + STEPS, RUN):
+        for side, step in enumerate((rmrc_step, mink_step)):
+            for k in range(begin, begin + RUN):
+                times[k, side] = _timed(step, moves[k])
+    times = times[WARM_UP:]
     # The two must have done the same work, or the times say nothing.
     final = offsets(WARM_UP + STEPS)[-1]
     apart = float(np.abs(rmrc_step(final) - mink_step(final)).max())
@@ -209,7 +208,7 @@ def main() -> None:
     beside = REPOSITORY.parent / "shared" / "menagerie"
     if beside.is_dir():
         os.environ.setdefault("MENAGERIE_ROOT", str(beside))
-    print(f"machine: {machine()}; dt {DT * 1e3:g} ms, {WARM_UP} + {STEPS} alternating steps")
+    print(f"machine: {machine()}; dt {DT * 1e3:g} ms, {WARM_UP} + {STEPS} steps in runs of {RUN}")
     print(f"{'case':8} {'nv':>3} {'tasks':>5} {'rmrc µs':>9} {'p99':>8}"
           f" {'mink µs':>9} {'p99':>8} {'ratio':>6}  mink's solver")  # fmt: skip
     rows = []

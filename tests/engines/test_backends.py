@@ -148,10 +148,14 @@ def solved(backend: Backend, qp: QP) -> Solution:
     return solution
 
 
+def copy_into(target: QP, source: QP) -> None:
+    for name in ("H", "g", "lb", "ub", "C", "lo", "hi", "E", "f"):
+        getattr(target, name)[:] = getattr(source, name)
+
+
 def copy_of(qp: QP) -> QP:
     other = QP(qp.g.size, qp.lo.size, qp.f.size)
-    for name in ("H", "g", "lb", "ub", "C", "lo", "hi", "E", "f"):
-        getattr(other, name)[:] = getattr(qp, name)
+    copy_into(other, qp)
     return other
 
 
@@ -230,6 +234,24 @@ def test_an_update_in_place_equals_a_fresh_solve(backend: Backend, n: int, rows:
         assert certificate.certify(warm) <= KKT_TOLERANCE
         fresh = solved(create("daqp"), qp)
         np.testing.assert_allclose(warm.v, fresh.v, rtol=0.0, atol=SAME_VELOCITY)
+
+
+def test_an_update_to_an_unrelated_program_equals_a_fresh_solve(backend: Backend) -> None:
+    rng = np.random.default_rng(14)
+    for n, rows in ((1, 0), (7, 0), (7, 3), (20, 3)):
+        qp = random_qp(rng, n, "plain", rows)
+        backend.setup(qp)
+        for scale in (1.0, 1e-3, 1e3, 1.0):
+            backend.solve()
+            other = random_qp(rng, n, "plain", rows)
+            copy_into(qp, other)
+            qp.H[:], qp.g[:] = scale * (qp.H + np.eye(n)), scale * qp.g
+            backend.update(qp)
+            solution = backend.solve()
+            assert solution.status is SolveStatus.SOLVED
+            assert Certificate(qp).certify(solution) <= KKT_TOLERANCE * max(1.0, scale)
+            fresh = solved(create("daqp"), qp)
+            np.testing.assert_allclose(solution.v, fresh.v, rtol=0.0, atol=SAME_VELOCITY)
 
 
 def test_the_same_sequence_gives_the_same_bits(backend: Backend) -> None:
@@ -354,8 +376,7 @@ def test_what_cannot_be_solved_is_a_status_and_leaves_no_trace(
         assert np.isfinite(bad.v).all()
         Certificate(qp).certify(bad)
         assert bad.kkt.largest > KKT_TOLERANCE
-    for name in ("H", "g", "lb", "ub", "C", "lo", "E", "f"):
-        getattr(qp, name)[:] = getattr(good, name)
+    copy_into(qp, good)
     backend.update(qp)
     again = backend.solve()
     Certificate(qp).certify(again)
@@ -363,6 +384,44 @@ def test_what_cannot_be_solved_is_a_status_and_leaves_no_trace(
     # Bit for bit what a backend says that has never seen the bad program.
     assert again.v.tobytes() == fresh.v.tobytes()
     assert again.iterations == fresh.iterations
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_a_solve_that_was_stopped_is_not_taken_up_again(name: str) -> None:
+    backend = create(name, max_iter=1)
+    stopped = 0
+    for qp, _ in programs(True)[:60]:
+        backend.setup(qp)
+        first, second = backend.solve(), backend.solve()
+        if first.status is SolveStatus.MAX_ITER:
+            stopped += 1
+            np.testing.assert_allclose(second.v, first.v, rtol=0.0, atol=SAME_VELOCITY)
+    assert stopped > 5
+
+
+class NotANumber(Backend):
+    """A backend that calls NaN a solution."""
+
+    def __init__(self) -> None:
+        super().__init__(polished=False)
+
+    def _load(self, qp: QP) -> None:
+        pass
+
+    def _refresh(self, qp: QP) -> None:
+        pass
+
+    def _run(self, qp: QP) -> Solution:
+        solution = Solution.at_rest(qp, SolveStatus.SOLVED, 3)
+        solution.v[0] = np.nan
+        return solution
+
+
+def test_a_velocity_that_is_not_a_number_does_not_leave_a_backend() -> None:
+    solution = solved(NotANumber(), random_qp(np.random.default_rng(15), 7))
+    assert solution.status is SolveStatus.FAILED
+    assert solution.iterations == 3
+    assert np.isfinite(solution.v).all()
 
 
 @pytest.mark.parametrize("name", ["daqp", "osqp"])
@@ -394,7 +453,10 @@ def test_daqp_solves_with_exactly_the_iterations_it_needs() -> None:
     needed = solved(create("daqp"), qp).iterations
     assert needed > 2
     assert solved(create("daqp", max_iter=needed), qp).status is SolveStatus.SOLVED
-    assert solved(create("daqp", max_iter=needed - 1), qp).status is SolveStatus.MAX_ITER
+    stopped = solved(create("daqp", max_iter=needed - 1), qp)
+    assert stopped.status is SolveStatus.MAX_ITER
+    # What DAQP leaves in v before its last iteration is not a velocity.
+    np.testing.assert_array_equal(stopped.v, np.clip(np.zeros(7), qp.lb, qp.ub))
 
 
 @pytest.mark.parametrize(
@@ -445,6 +507,14 @@ def test_a_polished_solution_is_never_worse() -> None:
             assert better.kkt.largest <= KKT_TOLERANCE * max(1.0, np.abs(qp.g).max())
 
 
+def test_a_polished_solution_does_not_depend_on_the_way_to_it() -> None:
+    for qp, _ in programs(False)[:: len(KINDS)]:  # plain boxes: nothing is active by a hair
+        polish, exact = Polish(qp), solved(create("daqp"), qp)
+        other = solved(create("daqp"), qp)
+        other.v *= 1.0 + 1e-13
+        assert polish.improve(exact).v.tobytes() == polish.improve(other).v.tobytes()
+
+
 @pytest.mark.parametrize("name", FIRST_ORDER)
 def test_polishing_is_what_makes_a_coarse_tolerance_do(name: str) -> None:
     coarse, bare = 0.0, 0.0
@@ -465,7 +535,9 @@ def test_daqp_by_default_lets_a_limit_be_passed() -> None:
     v, _, flag, _ = daqp.solve(qp.H, qp.g, np.zeros((0, 1)), qp.ub, qp.lb)
     assert flag == 1
     assert v[0] > 1.0 + 1e-7
-    assert solved(create("daqp"), qp).v[0] == 1.0
+    ours = create("daqp")
+    ours.setup(qp)
+    assert ours.solve().v[0] == 1.0  # before the certificate has clipped it
 
 
 def test_daqp_by_default_takes_a_limit_that_is_not_a_number() -> None:
@@ -533,6 +605,13 @@ def test_osqp_by_default_lets_a_velocity_cap_be_passed() -> None:
 def test_osqp_polishing_writes_to_the_standard_output(capfd: pytest.CaptureFixture[str]) -> None:
     raw_osqp(random_qp(np.random.default_rng(11), 7, "inside"), polishing=True)
     assert "olish" in capfd.readouterr().out
+
+
+def test_osqp_by_default_calls_an_ill_conditioned_program_unbounded() -> None:
+    qp = QP(2)
+    qp.H[:], qp.g[:] = np.diag([1.0, 1e-8]), [1.0, 1e-3]
+    assert raw_osqp(qp, eps_abs=1e-6, eps_rel=0.0)[1] == "dual infeasible"
+    np.testing.assert_allclose(solved(create("osqp"), qp).v, [-1.0, -1e5], rtol=SAME_VELOCITY)
 
 
 def test_osqp_fills_an_infeasible_solution_with_a_number() -> None:

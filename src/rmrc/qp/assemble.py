@@ -48,8 +48,10 @@ class Assembly:
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
         self._row_rate = self.rate[:rows]
         self._fed = any(term.joint and not term.gain for term in evaluation.terms)
-        self._scale, self._roots = self._row_weights()
-        self._minus_scale = -self._scale[:, 0]
+        scale, self._roots = self._row_weights()
+        self._minus_scale = -scale
+        # Of J's own shape: multiplying takes a third of the time that it takes with a column.
+        self._scale = np.repeat(scale[:, None], problem.model.nv, axis=1)
         self._weighted = np.empty((rows, problem.model.nv))
         self._unwanted = np.empty(rows)
         joint_terms = [term for term in evaluation.terms if term.joint]
@@ -78,15 +80,15 @@ class Assembly:
         return weight if weight.ndim == 1 else np.zeros(weight.shape[0])
 
     def _row_weights(self) -> tuple[Array, list[tuple[slice, Array]]]:
-        """Return S as a column over all rows, 1 where a full S stands in the list instead."""
-        scale = np.ones((self._evaluation.row_count, 1))
+        """Return S over all rows, 1 where a full S stands in the list instead."""
+        scale = np.ones(self._evaluation.row_count)
         roots = []
         for term in self._evaluation.terms:
             if term.joint:
                 continue
             rows, root = self._evaluation.rows_of([term]), square_root(self._leveled(term))
             if root.ndim == 1:
-                scale[rows, 0] = root
+                scale[rows] = root
             else:
                 roots.append((rows, root))
         return scale, roots

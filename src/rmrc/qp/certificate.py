@@ -33,17 +33,16 @@ class _Interval:
 
         x is inside the interval; m⁺ = max(m, 0), m⁻ = max(−m, 0).
         """
+        lower, upper = self._lower, self._upper
         slackness = infinite = 0.0
         # Few multipliers are not 0: visiting those takes half the time of six array operations.
-        for k, m in enumerate(multiplier.tolist()):
-            if m:
-                distance = (
-                    self._upper.item(k) - x.item(k) if m > 0.0 else x.item(k) - self._lower.item(k)
-                )
-                if isinf(distance):
-                    infinite += m * m
-                else:
-                    slackness += abs(m) * distance
+        for k in multiplier.nonzero()[0].tolist():
+            m, value = multiplier.item(k), x.item(k)
+            distance = upper.item(k) - value if m > 0.0 else value - lower.item(k)
+            if isinf(distance):
+                infinite += m * m
+            else:
+                slackness += abs(m) * distance
         return slackness, infinite
 
 

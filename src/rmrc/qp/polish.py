@@ -6,11 +6,13 @@ from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Array, Solution, SolveStatus
 
 TARGET = 1e-9
-"""Largest KKT residual of a polished solution that is taken at once."""
+"""KKT residual at which a polished solution is taken even if that before it has a smaller one.
+
+It depends on the active limits alone, not on the way to them: ProxQP's own last digits change with
+the place of its arrays in memory, a polished solution's do not.
+"""
 OPTIMAL = 1e-8
-"""The same, relative to the largest of 1 and |g|, of a solution that is SOLVED whatever it was."""
-ROUNDS = 3
-"""Systems solved at most; one is enough where the active limits are told apart."""
+"""KKT residual, relative to the largest of 1 and |g|, of a solution that is SOLVED in any case."""
 SHIFT = 1e-7
 """Share of 1/trace(H) that makes dependent rows solvable; refinement removes its effect."""
 REFINEMENTS = 3
@@ -25,8 +27,8 @@ class Polish:
 
         H v + g + z + Kᵀu = 0,  v = limit on the active bounds,  z = 0 on the others,  K v = d,
 
-    with the active rows and the equalities in K. The result is taken only where the certificate
-    says that it is better. OSQP's own polish is not used: it writes to the standard output.
+    with the active rows and the equalities in K. The result is taken where its certificate is good
+    or better than before. OSQP's own polish is not used: it writes to the standard output.
     """
 
     def __init__(self, qp: QP) -> None:
@@ -35,19 +37,12 @@ class Polish:
 
     @np.errstate(all="ignore")  # what is not finite fails its certificate
     def improve(self, solution: Solution) -> Solution:
-        """Return the best solution found; it is SOLVED if the certificate says it is optimal."""
-        best = latest = solution
-        self._certificate.certify(solution)
-        for _ in range(ROUNDS):
-            latest = self._on_active_limits(latest)
-            if latest is None:
-                break
-            residual = self._certificate.certify(latest)
-            if residual <= TARGET:
-                best = latest
-                break
-            if residual < best.kkt.largest:
-                best = latest
+        """Return the polished solution, or this one; SOLVED if its certificate is good."""
+        certify = self._certificate.certify
+        enough = max(TARGET, certify(solution))
+        best, candidate = solution, self._on_active_limits(solution)
+        if candidate is not None and certify(candidate) <= enough:
+            best = candidate
         if best.kkt.largest <= OPTIMAL * max(1.0, float(np.abs(self._qp.g).max())):
             best.status = SolveStatus.SOLVED
         return best

@@ -27,7 +27,7 @@ class SolveStatus(Enum):
 
 
 _MESSAGES = {
-    SolveStatus.SOLVED: "The backend reached its tolerance.",
+    SolveStatus.SOLVED: "The solution is the optimum, to the tolerance of the backend.",
     SolveStatus.MAX_ITER: "The backend used up its iterations before it reached its tolerance.",
     SolveStatus.TIME_LIMIT: "The backend used up its time before it reached its tolerance.",
     SolveStatus.INFEASIBLE: "No velocity satisfies bounds, rows and equalities at once.",
@@ -43,7 +43,7 @@ class KKT(NamedTuple):
     dual: float
     """‖Hv + g + z + Cᵀy + Eᵀw‖₂, with the multipliers of limits that are infinite."""
     complementarity: float
-    """Σ |multiplier| · distance to its limit: the objective that the limits need not cost."""
+    """Σ |multiplier| · distance to its limit, in units of the objective."""
 
     @property
     def largest(self) -> float:
@@ -82,10 +82,10 @@ class QP:
         self._limits = [(*pair, np.empty(pair[0].size, bool)) for pair in limits if pair[0].size]
 
     def defect(self) -> SolveStatus | None:
-        """Return why no backend need try: FAILED if a number is not finite or a limit is NaN,
-        INFEASIBLE if a lower limit is above its upper one, None otherwise.
+        """Return why no backend need try to solve this, or None.
 
-        Backends do not look: DAQP calls a program with a NaN limit solved.
+        FAILED: a number is not finite, or a limit is NaN. INFEASIBLE: a lower limit is above its
+        upper one. Backends do not look: DAQP calls a program with a NaN limit solved.
         """
         for buffer in self._numbers:
             # One call for a whole buffer: its sum of squares is finite only if all of it is.

@@ -1,6 +1,6 @@
 """DAQP, a dual active-set method (Arnström, Bemporad and Axehill 2022): the default backend."""
 
-from ctypes import c_int
+from math import isnan
 
 import daqp
 import numpy as np
@@ -10,8 +10,6 @@ from rmrc.qp.program import QP, Solution, SolveStatus
 
 INFINITY = 1e30
 """DAQP's infinity: IEEE's, at a bound that was active before, makes a warm start go wrong."""
-EQUALITY = 5
-"""What marks a row as an equality in DAQP's `sense`."""
 STATUS = {
     1: SolveStatus.SOLVED,
     4: SolveStatus.SOLVED,  # but for rounding: the certificate tells by how much
@@ -29,6 +27,8 @@ class DAQP(Backend):
     The bounds are the first n of its limits, the rows C and E the rest. Its tolerance is the
     distance by which it lets a limit be passed: 1e-6 of its own accord, 1e-12 here.
     """
+
+    screened = False
 
     def __init__(self, max_iter: int | None = None, tolerance: float | None = None) -> None:
         super().__init__(polished=False)
@@ -54,16 +54,19 @@ class DAQP(Backend):
             if low.size
         ]
         self._rows = np.empty((size - n, n))
-        sense = np.zeros(size, c_int)
-        sense[n + rows :] = EQUALITY
         self._copy(qp)
         self._model = daqp.Model()
         self._model.settings = self._settings
-        flag, _ = self._model.setup(qp.H, qp.g, self._rows, self._upper, self._lower, sense)
+        flag, _ = self._model.setup(qp.H, qp.g, self._rows, self._upper, self._lower)
         return None if flag > 0 else STATUS.get(flag, SolveStatus.FAILED)
 
     def _refresh(self, qp: QP) -> SolveStatus | None:
         self._copy(qp)
+        if self._rows.size:
+            if defect := qp.defect():
+                return defect
+        elif isnan(self._lower.dot(self._upper)):  # DAQP would call such a program solved
+            return SolveStatus.FAILED
         # Without `sense` DAQP keeps its active set; a matrix of no rows it would refuse.
         rows = self._rows if self._rows.size else None
         flag = self._model.update(qp.H, qp.g, rows, self._upper, self._lower)

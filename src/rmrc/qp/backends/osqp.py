@@ -31,8 +31,7 @@ class OSQP(Backend):
             "max_iter": 10_000 if max_iter is None else max_iter,
             "eps_abs": 1e-6 if tolerance is None else tolerance,
             "eps_rel": 0.0,
-            # At OSQP's 1e-4 an ill-conditioned program passes for an infeasible one.
-            "eps_prim_inf": 1e-8,
+            # At OSQP's 1e-4 an ill-conditioned program without limits passes for unbounded.
             "eps_dual_inf": 1e-12,
             "verbose": False,
         }
@@ -77,7 +76,7 @@ class OSQP(Backend):
         multiplier = result.y
         n, m = qp.g.size, qp.g.size + qp.lo.size
         return Solution(
-            np.array(result.x),
+            result.x,
             multiplier[:n],
             multiplier[n:m],
             multiplier[m:],
