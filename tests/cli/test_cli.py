@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+
 from models import REPOSITORY
 
 LINE = REPOSITORY / "configs" / "planar_line.yaml"

@@ -7,9 +7,9 @@ import mink
 import mujoco
 import numpy as np
 import pytest
-from models import REPOSITORY, config
 
 import rmrc
+from models import REPOSITORY, config
 from rmrc.problem.compile import HINGE_SPEED
 
 DT = 0.002
@@ -17,7 +17,10 @@ GAIN = 0.02  # mink's, per step
 DAMPING = 1e-4
 STEPS = 500
 PARITY = 1e-8  # rad/s; both solvers are asked for more than that
-SOLVER: dict[str, Any] = {"primal_tol": 1e-13, "dual_tol": 1e-13}  # of Δq, 500 times smaller than v at this dt
+SOLVER: dict[str, Any] = {
+    "primal_tol": 1e-13,
+    "dual_tol": 1e-13,
+}  # of Δq, 500 times smaller than v at this dt
 
 
 # Targets far from the start, by type of task.

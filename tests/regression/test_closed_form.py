@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
-from models import ROBOTS, config, random_configuration, random_quaternion, scene_path
 
 import rmrc
+from models import ROBOTS, config, random_configuration, random_quaternion, scene_path
 
 # Relative to the largest rate: both sides solve the same normal equations, of condition ≤ 1e6.
 CLOSED_FORM = 1e-9

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -177,18 +178,20 @@ def test_a_file_beyond_the_bounds_is_refused_soon(text, tmp_path):
     path = tmp_path / "large.yaml"
     path.write_text(text)
     del text
-    began = time.perf_counter()
+    began = time.process_time()
     assert len(refusal(path)) < 1000
-    assert time.perf_counter() - began < SOON
+    assert time.process_time() - began < SOON
 
 
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="needs Linux's /proc")
 def test_the_largest_file_takes_little_memory(tmp_path):
+    # The peak that getrusage gives is that of the process before exec: the whole test suite's.
     path = tmp_path / "large.yaml"
     path.write_text("a: [" + "1, " * (MOST_VALUES - 10) + "]\nb: " + "x" * 800_000)
     script = (
-        "import resource, sys, pathlib; from rmrc.config.read import read;"
+        "import re, sys, pathlib; from rmrc.config.read import read;"
         "print(len(read(pathlib.Path(sys.argv[1]), 'large.yaml').plain['a']),"
-        "resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        "re.search(r'VmHWM:\\s*(\\d+)', pathlib.Path('/proc/self/status').read_text())[1])"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, path], capture_output=True, text=True, check=True

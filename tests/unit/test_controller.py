@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 import pytest
-from models import REPOSITORY, config
 
 import rmrc
+from models import REPOSITORY, config
 from rmrc import Status
 from rmrc.problem.limits.box import RANGE_ROUNDING
 

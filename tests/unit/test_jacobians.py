@@ -6,9 +6,9 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from models import ROBOTS, config, random_configuration, random_quaternion, scene_path
 
 import rmrc
+from models import ROBOTS, config, random_configuration, random_quaternion, scene_path
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.lie import pose_of
 from rmrc.problem.tasks.frame import FrameTerm
