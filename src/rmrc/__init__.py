@@ -35,6 +35,7 @@ from rmrc.problem.tasks import (
     SmoothTask,
     VelocityTask,
 )
+from rmrc.record.compare import Comparison, compare
 from rmrc.record.run import Run
 
 __version__ = version("rmrc")
@@ -46,6 +47,7 @@ __all__ = [
     "CirclePath",
     "ClearanceTask",
     "ComTask",
+    "Comparison",
     "Config",
     "ConfigError",
     "Controller",
@@ -72,6 +74,7 @@ __all__ = [
     "Step",
     "VelocityTask",
     "WaypointsPath",
+    "compare",
     "compile",
     "load",
     "solve",

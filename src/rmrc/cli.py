@@ -3,6 +3,8 @@
 import json
 import os
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,6 +65,10 @@ def _overrides(settings: list[str] | None) -> dict[str, Any]:
     return dict(parse_override(text) for text in settings or [])
 
 
+def _names(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
 @app.command()
 def solve(
     config: ConfigPath,
@@ -74,12 +80,13 @@ def solve(
 ) -> None:
     """Run a configuration: a progress bar, a summary, a run folder with a report."""
     import rmrc
-    from rmrc.record.run import ensure_free
+    from rmrc.record.run import RUN_FOLDER
 
     if out is not None:
-        ensure_free(out)
+        RUN_FOLDER.ensure_free(out)
     loaded = rmrc.load(config, overrides=_overrides(settings))
-    run = _solve_with_progress(loaded)
+    with _progress(loaded.name) as progress:
+        run = rmrc.solve(loaded, progress)
     folder = run.save(out) if out is not None else run.save_numbered("runs")
     if as_json:
         print(json.dumps({"run": str(folder), **run.summary}, allow_nan=False))
@@ -89,13 +96,13 @@ def solve(
     raise typer.Exit(0 if run.summary["converged"] and kept else NOT_CONVERGED)
 
 
-def _solve_with_progress(config: Any) -> Any:
-    """Solve behind a progress bar on a terminal, and without one in a pipe."""
-    import rmrc
-
+@contextmanager
+def _progress(name: str) -> Iterator[Callable[[int, int], None] | None]:
+    """Show a progress bar on a terminal, and none in a pipe."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        return rmrc.solve(config)
+        yield None
+        return
     from rich.progress import (
         BarColumn,
         Progress,
@@ -111,8 +118,8 @@ def _solve_with_progress(config: Any) -> Any:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(config.name)
-        return rmrc.solve(config, lambda done, count: bar.update(task, completed=done, total=count))
+        task = bar.add_task(name)
+        yield lambda done, count: bar.update(task, completed=done, total=count)
 
 
 def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
@@ -150,6 +157,72 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
 def _add_task(table: Table, name: str, numbers: dict[str, Any]) -> None:
     values = (f"{numbers[key]:.3g}" for key in ("rms", "max", "final"))
     table.add_row(escape(name), *values, numbers["unit"])
+
+
+@app.command()
+def compare(
+    config: ConfigPath,
+    methods: Annotated[
+        str | None, typer.Option(metavar="A,B,…", help="The methods; by default all.")
+    ] = None,
+    backends: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,…", help="The solvers of method qp; by default daqp,proxqp,osqp."
+        ),
+    ] = None,
+    follow: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,…", help="The ways of following; by default the configuration's."
+        ),
+    ] = None,
+    settings: Settings = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The folder; by default comparisons/NAME-0001, counting up."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
+) -> None:
+    """Run a configuration by several methods: a table, and a page with all their curves."""
+    import rmrc
+    from rmrc.record.compare import COMPARISON_FOLDER
+
+    if out is not None:
+        COMPARISON_FOLDER.ensure_free(out)
+    loaded = rmrc.load(config, overrides=_overrides(settings))
+    with _progress(loaded.name) as progress:
+        comparison = rmrc.compare(
+            loaded, _names(methods), _names(backends), _names(follow), progress
+        )
+    folder = comparison.save(out) if out else comparison.save_numbered("comparisons")
+    if as_json:
+        numbers = {"comparison": str(folder), **comparison.summary}
+        print(json.dumps(numbers, ensure_ascii=False, allow_nan=False))
+    else:
+        _print_comparison(loaded.name, comparison.summary, folder)
+    raise typer.Exit(0 if comparison.finished else NOT_CONVERGED)
+
+
+def _print_comparison(name: str, summary: dict[str, Any], folder: Path) -> None:
+    from rmrc.record.compare import PAGE
+    from rmrc.record.overlay import table
+
+    console = Console(highlight=False)
+    head, rows = table(summary, whole=False)
+    shown = Table(
+        title=escape(name), title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
+    )
+    for title in head:
+        shown.add_column(escape(title), overflow="fold")
+    for row in rows:
+        shown.add_row(*(f"[red]{escape(c.text)}[/]" if c.bad else escape(c.text) for c in row))
+    console.print(shown)
+    for left_out in summary["left_out"]:
+        console.print(f"[dim]{left_out['name']} is left out: {escape(left_out['reason'])}[/]")
+    if summary["interrupted"]:
+        console.print("[yellow]interrupted: this is what was done so far[/]")
+    console.print(f"comparison: {escape(str(folder))} · look at {escape(str(folder / PAGE))}")
 
 
 @app.command()

@@ -11,13 +11,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from models import REPOSITORY
 
 import rmrc
-from rmrc.config.load import parse_override
+from models import REPOSITORY, config
+from rmrc.config.models import ActuationModel
 from rmrc.control.check import check
 from rmrc.control.controller import Controller
-from rmrc.control.execution import Actuated, build_execution
+from rmrc.control.execution import build_execution
 from rmrc.control.joint_control import (
     ComputedTorque,
     PositionServos,
@@ -40,16 +40,15 @@ JOINT_CONTROLS = ["torque", "position"]
 FEEDBACKS = ["measured", "commanded"]
 
 
-def run(path: Path = LINE, **overrides: Any) -> rmrc.Run:
-    """Run a configuration actuated; overrides of `actuation` by their own names."""
-    return rmrc.solve(rmrc.load(path, overrides=actuated(overrides)))
-
-
-def actuated(overrides: dict[str, Any]) -> dict[str, Any]:
-    options = set(rmrc.Config.model_fields["actuation"].default.model_fields_set)
-    options |= set(type(rmrc.Config.model_fields["actuation"].default).model_fields)
+def loaded(path: Path = LINE, **overrides: Any) -> rmrc.Config:
+    """Load a configuration to be actuated; overrides of `actuation` by their own names."""
+    options = ActuationModel.model_fields
     named = {(f"actuation.{k}" if k in options else k): v for k, v in overrides.items()}
-    return {"execute": "actuated", **named}
+    return rmrc.load(path, overrides={"execute": "actuated", **named})
+
+
+def run(path: Path = LINE, **overrides: Any) -> rmrc.Run:
+    return rmrc.solve(loaded(path, **overrides))
 
 
 def hand_error(run: rmrc.Run) -> np.ndarray:
@@ -84,6 +83,7 @@ def test_the_line_is_kept(joint_control: str, feedback: str) -> None:
     line = run(joint_control=joint_control, feedback=feedback)
     assert line.summary["converged"]
     assert rms(hand_error(line)) < TRACKING
+    assert line.q_commanded is not None
     assert not np.array_equal(line.q, line.q_commanded)
 
 
@@ -138,7 +138,7 @@ def test_joints_left_out_of_the_dofs_are_held(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
 def test_commanded_feedback_sees_nothing_of_the_robot(joint_control: str) -> None:
-    push = {"body": "gripper", "force": [0, 30, 0], "start": 0.1, "duration": 0.2}
+    push = {"body": "gripper", "force": [0, 0, -300], "start": 0.1, "duration": 0.2}
     blind = run(
         joint_control=joint_control, feedback="commanded", noise=0.01, push=push, duration=0.5
     )
@@ -150,29 +150,30 @@ def test_commanded_feedback_sees_nothing_of_the_robot(joint_control: str) -> Non
 
 
 def test_errors_velocities_and_configurations_are_those_of_the_robot() -> None:
-    config = rmrc.load(LINE, overrides=actuated({"noise": 0.01, "latency": 20, "duration": 2.0}))
-    noisy = rmrc.solve(config)
-    problem = rmrc.compile(config)
-    path = config.targets["hand"].build(
-        np.concatenate([[*problem.term["hand"].target[4:]], problem.term["hand"].target[:4]]),
-        config.root,
-    )
-    pose, twist = np.empty(7), np.empty(6)
-    for k in range(0, len(noisy.time), 100):
-        path.sample(noisy.time[k], pose, twist)
-        distance = np.linalg.norm(problem.forward(noisy.q[k])["hand"][:3, 3] - pose[:3])
-        assert hand_error(noisy)[k] == pytest.approx(distance, abs=ROUNDING)
-    # A velocity between two configurations is that at their middle up to the curvature.
-    between = np.diff(noisy.q, axis=0) / problem.dt
-    middle = 0.5 * (noisy.v_measured[1:] + noisy.v_measured[:-1])
-    assert np.abs(between - middle).max() < 0.05 * np.abs(middle).max()
+    config = loaded(noise=0.01, latency=20, targets={}, duration=1.0)
+    noisy, problem = rmrc.solve(config), rmrc.compile(config)
+    wanted = problem.term["hand"].target[4:]
+    for q, error in zip(noisy.q[::50], hand_error(noisy)[::50], strict=True):
+        hand = problem.forward(q)["hand"][:3, 3]
+        assert error == pytest.approx(np.linalg.norm(hand - wanted), abs=ROUNDING)
+    assert hand_error(noisy).max() > 1e-4
+    # MuJoCo's integrators move q by the new velocity.
+    moved = np.diff(noisy.q, axis=0) / problem.dt
+    assert np.abs(moved - noisy.v_measured[1:]).max() < ROUNDING
+
+
+def test_the_error_of_a_velocity_task_is_that_of_the_robot() -> None:
+    turn = {"name": "turn", "type": "velocity", "target": {"joint1": 0.5}}
+    turning = run(tasks=[turn], targets={}, noise=0.01, duration=0.3)
+    error = turning.error["turn"][:, 0]
+    assert error[0] == 0.5
+    assert np.abs(error - np.abs(0.5 - turning.v_measured[:, 0])).max() < ROUNDING
+    assert error[-1] < 0.01
 
 
 def measurements(latency: int, noise: float, steps: int = 60) -> tuple[np.ndarray, np.ndarray]:
     """Return what the steps got, and the true configurations, of a moving arm."""
-    problem = rmrc.compile(
-        rmrc.load(LINE, overrides=actuated({"latency": latency, "noise": noise, "duration": 1.0}))
-    )
+    problem = rmrc.compile(loaded(latency=latency, noise=noise))
     execution, controller = build_execution(problem), Controller(problem)
     controller.set_target("hand", [0.5, 0.2, 0.4])
     targets = controller.engine.evaluation.target
@@ -245,12 +246,13 @@ def test_set_points_do_not_wind_up_where_the_force_saturates(joint_control: str)
     assert error[-1] < AT_REST
 
 
+@pytest.mark.parametrize("end", [-1, 1])
 @pytest.mark.parametrize(("dt", "latency"), [(0.002, 0), (0.002, 3), (0.01, 1)])
-def test_a_joint_at_the_end_of_its_range_stands_still(dt: float, latency: int) -> None:
-    posture = {"name": "p", "type": "posture", "target": {"joint1": 3.5, "joint4": -1.5}}
+def test_a_joint_at_the_end_of_its_range_stands_still(dt: float, latency: int, end: int) -> None:
+    posture = {"name": "p", "type": "posture", "target": {"joint1": 3.5 * end, "joint4": -1.5}}
     stopped = run(dt=dt, latency=latency, tasks=[posture], targets={}, duration=3.0)
     late = stopped.time > 2.5
-    assert stopped.q[-1, 0] == pytest.approx(2.8973 - 0.01, abs=1e-3)
+    assert stopped.q[-1, 0] == pytest.approx(end * (2.8973 - 0.01), abs=1e-3)
     assert np.ptp(stopped.v[late], axis=0).max() < 1e-3
 
 
@@ -314,6 +316,7 @@ def moving(model: mujoco.MjModel, seed: int) -> tuple[mujoco.MjData, np.ndarray,
 
 TORQUE_SCENE = """
 <mujoco>
+  <compiler angle="radian"/>
   <worldbody>
     <body gravcomp="{gravcomp}">
       <joint name="a" axis="0 1 0" range="-2 2" stiffness="3" damping="0.7" armature="0.1"
@@ -350,6 +353,7 @@ def test_computed_torques_give_the_acceleration_asked_for(
 
 SERVO_SCENE = """
 <mujoco>
+  <compiler angle="radian"/>
   <worldbody>
     <body>
       <joint name="a" axis="0 1 0" range="-2 2"/> <geom type="capsule" size="0.03 0.2"/>
@@ -379,6 +383,72 @@ def test_position_actuators_pull_towards_the_moving_set_point(seed: int) -> None
     assert data.ctrl[0] == 0.0
 
 
+# An arm with a joint that nothing drives, a drawer with a motor, a ball that lies nowhere.
+BENCH = """
+<mujoco>
+  <compiler angle="radian"/> <option integrator="implicitfast"/>
+  <worldbody>
+    <body name="arm">
+      <joint name="a" axis="0 1 0" range="-2 2" limited="true"/>
+      <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03"/> <site name="hand" pos="0.4 0 0"/>
+      <body name="tassel" pos="0.4 0 0">
+        <joint name="free_to_swing" axis="0 1 0"/>
+        <geom type="capsule" fromto="0.05 0 0 0.2 0 0" size="0.02"/>
+      </body>
+    </body>
+    <body name="drawer" pos="0 2 0">
+      <joint name="drawer" type="slide" axis="1 0 0"/> <geom size="0.1"/>
+    </body>
+    <body name="ball" pos="0 -2 9"><freejoint name="ball"/><geom size="0.1"/></body>
+  </worldbody>
+  <actuator>
+    <position joint="a" kp="500" kv="40"/> <motor joint="drawer"/>
+  </actuator>
+  <keyframe><key name="home" qpos="0.3 0.5 0 0 -2 9 1 0 0 0" ctrl="0.3 40"/></keyframe>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
+def test_what_no_controller_drives_goes_its_own_way(joint_control: str, tmp_path: Path) -> None:
+    (tmp_path / "bench.xml").write_text(BENCH)
+    bench = config(
+        str(tmp_path / "bench.xml"),
+        [{"name": "p", "type": "posture"}],
+        dofs=["a"],
+        duration=0.5,
+        execute="actuated",
+        actuation={"joint_control": joint_control, "noise": 1e-3},
+    )
+    done = rmrc.solve(bench)
+    a, swinging, drawer, *_, height = done.q[-1, :6]
+    assert abs(a - 0.3) < 0.05
+    assert abs(swinging - 0.5) > 0.1
+    assert height == pytest.approx(9 - 0.5 * 9.81 * 0.5**2, rel=1e-2)
+    # Its actuator keeps the keyframe's control, unless computed torques stand in its place.
+    assert drawer > 0.5 if joint_control == "position" else abs(drawer) < 1e-3
+    problem = rmrc.compile(bench)
+    measured = build_execution(problem).feedback()
+    assert measured is not None
+    assert np.array_equal(measured[3:], problem.start[3:])
+    assert (measured[:3] != problem.start[:3]).all()
+
+
+def test_computed_torques_leave_undriven_joints_alone() -> None:
+    model = mujoco.MjModel.from_xml_string(BENCH)
+    joints = ComputedTorque(model, np.array([0]), bandwidth=30.0, damping_ratio=1.0)
+    data, torques = mujoco.MjData(model), []
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step1(model, data)
+    for elsewhere in (0.0, 0.4):
+        q = data.qpos.copy()
+        q[:2] += (0.01, elsewhere)
+        joints.drive(data, q, np.zeros(model.nv))
+        torques.append(data.qfrc_applied.copy())
+    assert np.array_equal(*torques)
+    assert np.flatnonzero(torques[0]).tolist() == [0]
+
+
 def test_torques_keep_the_limits_of_the_model_where_the_reach_ends() -> None:
     scene = str(REPOSITORY / "scenes" / "panda.xml")
     model = mujoco.MjModel.from_xml_path(scene)
@@ -394,12 +464,10 @@ def test_torques_keep_the_limits_of_the_model_where_the_reach_ends() -> None:
     joints.drive(data, data.qpos + 1.0, np.zeros(7))
     assert np.abs(data.qfrc_applied).max() <= 87.0
     assert (np.abs(data.qfrc_applied) <= limits).all()
-    inertia = np.array([[row] for row in np.eye(7)])
-    diagonal = np.empty(7)
-    for i, (row,) in enumerate(inertia):
-        column = np.empty(7)
-        mujoco.mj_mulM(driven, data, column, row)
-        diagonal[i] = column[i]
+    inertia = np.empty((7, 7))
+    for column, unit in zip(inertia, np.eye(7), strict=True):
+        mujoco.mj_mulM(driven, data, column, unit)
+    diagonal = np.diagonal(inertia)
     np.testing.assert_allclose(joints.reach(data), limits / (50.0**2 * diagonal), rtol=ROUNDING)
     servos = PositionServos(model)
     np.testing.assert_allclose(servos.reach(data), limits / ([2000] * 4 + [500] * 3))
@@ -426,7 +494,7 @@ def test_the_highest_bandwidth_is_where_the_steps_become_unstable(damping_ratio:
 
 def mistake(path: Path, **overrides: Any) -> str:
     with pytest.raises(rmrc.ConfigError) as caught:
-        check(rmrc.load(path, overrides=actuated(overrides)))
+        check(loaded(path, **overrides))
     return str(caught.value)
 
 
@@ -443,13 +511,13 @@ def test_joints_without_a_position_actuator_are_named(tmp_path: Path) -> None:
         tmp_path,
         "panda",
         ('<position class="panda" name="joint2" joint="joint2"/>', '<motor joint="joint2"/>'),
-        ('<position class="panda_wrist" name="joint6" joint="joint6"/>', ""),
+        ('<position class="panda_wrist" name="joint6"', '<velocity name="joint6"'),
     )
     message = mistake(LINE, scene=scene, joint_control="position")
     assert "joints without a position actuator: joint2, joint6; leave" in message
     assert message.startswith("--set actuation.joint_control=position: ")
     moving = [f"joint{i}" for i in (1, 3, 4, 5, 7)]
-    check(rmrc.load(LINE, overrides=actuated({"scene": scene, "dofs": moving})))
+    check(loaded(scene=scene, joint_control="position", dofs=moving))
     assert rms(hand_error(run(scene=scene, joint_control="torque", duration=1.0))) < TRACKING
 
 
@@ -460,23 +528,20 @@ def test_other_mistakes_have_their_place(tmp_path: Path) -> None:
     file.write_text(text.replace("feedback: measured ", "bandwidth: 1000.0"))
     with pytest.raises(rmrc.ConfigError) as caught:
         check(rmrc.load(file))
-    lines = [line for line in str(caught.value).splitlines() if "config.yaml" in line]
-    assert len(lines) == 2
-    assert "config.yaml:9:14: in steps of 2 ms, the physics is stable up to" in lines[0]
-    assert "config.yaml:13:16: body 'link0' is fixed to the world" in lines[1]
-    push = {"body": "griper", "duration": 1.0}
-    assert "did you mean 'gripper'?" in mistake(LINE, push=push)
+    bandwidth, push = (m for m in str(caught.value).splitlines() if "config.yaml" in m)
+    assert "config.yaml:10:14: in steps of 2 ms, the physics is stable up to" in bandwidth
+    assert "config.yaml:14:16: body 'link0' is fixed to the world" in push
+    assert "did you mean 'gripper'?" in mistake(LINE, push={"body": "griper", "duration": 1.0})
 
 
 def test_a_dt_that_is_no_multiple_of_the_timestep_is_said_and_kept() -> None:
     for dt, said in ((0.002, None), (0.006, None), (0.001, "1 ms"), (0.005, "1.667 ms")):
-        config = rmrc.load(LINE, overrides=actuated({"dt": dt, "duration": 0.3}))
+        config = loaded(dt=dt, duration=0.6)
         notices = [line for line in check(config) if "the physics runs in steps of" in line]
         assert [f"in steps of {said}:" in line for line in notices] == ([True] if said else [])
         followed = rmrc.solve(config)
         assert notices == [n for n in followed.manifest["notices"] if "the physics runs" in n]
-        execution = Actuated(rmrc.compile(config))
-        step = Controller(rmrc.compile(config)).step()
-        for _ in range(20):
-            execution.carry_out(step)
-        assert execution.time == pytest.approx(20 * dt, rel=ROUNDING)
+        # The physics takes the time of the step, no more and no less.
+        moved = np.diff(followed.q, axis=0) / dt
+        mean = 0.5 * (followed.v_measured[1:] + followed.v_measured[:-1])
+        assert np.abs(moved - mean).max() < 0.02 * np.abs(mean).max()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rmrc.errors import RmrcError
-from rmrc.record import run as run_module
+from rmrc.record import folder as folder_module
 from rmrc.record.channels import positions, rates
 from rmrc.record.run import FORMAT, MANIFEST, REPORT, TRAJECTORY, Run
 from rmrc.record.summary import summarize
@@ -332,7 +332,7 @@ def test_a_number_taken_meanwhile_is_passed_over(
 ) -> None:
     first = run.save_numbered(tmp_path, report=False)
     before = contents(first)
-    monkeypatch.setattr(run_module, "_last_number", lambda *_: 0)
+    monkeypatch.setattr(folder_module, "_last_number", lambda *_: 0)
     second = fabricated(arm_model(), steps=5).save_numbered(tmp_path, report=False)
     assert (first.name, second.name) == ("reach-0001", "reach-0002")
     assert contents(first) == before

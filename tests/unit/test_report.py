@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_record import STATUSES, arm_model, fabricated, humanoid_model
 
+from rmrc.record.page import quantity
 from rmrc.record.plots import STATUS_COLOURS, STRIP_CELLS, TRACE_POINTS, extreme_rows, panels
-from rmrc.record.report import quantity, write_report
+from rmrc.record.report import write_report
 from rmrc.record.run import Run
 
 # plotly.js is 4.8 MB; the rest is for the longest runs of the largest robots.

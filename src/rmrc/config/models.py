@@ -153,8 +153,9 @@ class Config(Model):
     """Length of the run, s."""
     method: Method = "qp"
     """How a step is solved: `qp`, or one of the closed forms that it generalises."""
-    follow: Literal["rate"] = "rate"
-    """How a path is followed."""
+    follow: Literal["rate", "waypoints", "joint"] = "rate"
+    """How a path is followed: `rate` resolves rates, `waypoints` solves every pose on the way to
+    convergence, `joint` solves both ends and interpolates the joints."""
     execute: Literal["kinematic", "actuated"] = "kinematic"
     """What carries the command out: plain integration, or joint controllers in the physics."""
     actuation: ActuationModel = ActuationModel()

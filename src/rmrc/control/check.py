@@ -3,9 +3,9 @@
 import numpy as np
 
 from rmrc.config.models import Config
+from rmrc.control.aims import build_aims, unfinished
 from rmrc.control.controller import Controller
 from rmrc.control.execution import build_execution
-from rmrc.control.loop import build_aims, unfinished
 from rmrc.control.methods import shortcomings
 from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs

@@ -128,7 +128,6 @@ class Actuated:
         options = problem.config.actuation
         self._problem = problem
         self._model = model = copy.copy(problem.model)
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._substeps = max(1, math.ceil(problem.dt / model.opt.timestep - WHOLE))
         self.notices: Sequence[str] = self._shorten_timestep()
         self.fault: str | None = None

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.configuration import free_dofs, joint_dofs, joint_type
+from rmrc.problem.configuration import joint_dofs, joint_type
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -94,7 +94,6 @@ class ComputedTorque:
         held = [joint_dofs(model, int(model.actuator_trnid[a, 0])) for a in actuators]
         self._idle = np.ones(model.nv, dtype=bool)
         self._idle[np.concatenate([dofs, *held])] = False
-        self._idle[free_dofs(model)] = True
         model.actuator_gainprm[actuators] = 0.0
         model.actuator_biasprm[actuators] = 0.0
         model.jnt_actgravcomp[:] = 0  # what the actuators compensated becomes passive

@@ -2,22 +2,21 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config
+from rmrc.control.aims import build_aims, unfinished
 from rmrc.control.controller import ACTIVE_MULTIPLIER, Controller
 from rmrc.control.execution import State, build_execution
-from rmrc.control.paths import Trajectory
+from rmrc.control.follow import FOLLOWERS
+from rmrc.control.methods import shortcomings
 from rmrc.control.step import Status, Step
-from rmrc.errors import ConfigError
 from rmrc.problem.compile import compile
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
+from rmrc.record.deviation import line_deviations, line_summary
 from rmrc.record.manifest import manifest
 from rmrc.record.run import Run
 from rmrc.record.summary import summarize
@@ -49,9 +48,11 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     problem = config if isinstance(config, Problem) else compile(config)
     controller = Controller(problem)
     aims = build_aims(problem)
+    follower = FOLLOWERS[problem.config.follow](controller, aims)
     execution = build_execution(problem)
     targets = controller.engine.evaluation.target
-    log = _Log(problem, controller, unfinished(aims, problem.config), execution.notices)
+    notices = [*execution.notices, *shortcomings(problem)]
+    log = _Log(problem, controller, unfinished(aims, problem.config), notices)
     try:
         for k in range(log.count):
             if progress is not None and k % PROGRESS_EVERY == 0:
@@ -60,74 +61,18 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
             for aim in aims:
                 aim.sample(now)
             begin = time.perf_counter_ns()
-            for aim in aims:
-                aim.set_on(controller)
-            step = controller.step(execution.feedback())
+            step = follower.step(now, execution.feedback())
             elapsed = time.perf_counter_ns() - begin
             log.add(k, now, step, execution.state(step, targets), elapsed)
             execution.carry_out(step)
             if execution.fault is not None:
-                log.unfinished.append(execution.fault)
+                log.unfinished.insert(0, execution.fault)
                 break
     except KeyboardInterrupt:
         log.interrupted = True
     if progress is not None:
         progress(log.done, log.count)
-    return log.run()
-
-
-@dataclass(eq=False)
-class Aim:
-    """One task's target on its path."""
-
-    term: Term
-    path: Trajectory
-    pose: Array
-    twist: Array
-
-    def sample(self, now: float) -> None:
-        """Look up where the target is at a time from the start, s."""
-        self.path.sample(now, self.pose, self.twist)
-
-    def set_on(self, controller: Controller) -> None:
-        """Hand the target over."""
-        twist = self.twist if self.twist.any() else None
-        if self.term.target_kind == "pose":
-            controller.set_target(self.term.name, self.pose[:3], self.pose[3:], twist)
-        else:
-            velocity = None if twist is None else twist[:3]
-            controller.set_target(self.term.name, self.pose[:3], velocity=velocity)
-
-
-def build_aims(problem: Problem) -> list[Aim]:
-    """Build the paths of all targets from where the targets are at the start."""
-    aims, mistakes = [], []
-    for name, model in problem.config.targets.items():
-        term = problem.named(name)
-        start = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-        if term.target_kind == "pose":
-            start[:3], start[3:] = term.target[4:], term.target[:4]
-        else:
-            start[:3] = term.target
-        try:
-            path = model.build(start, problem.config.root)
-        except ConfigError as mistake:
-            mistakes.append(Mistake(("targets", name), str(mistake)))
-        else:
-            aims.append(Aim(term, path, np.empty(7), np.empty(6)))
-    if mistakes:
-        raise config_error(mistakes, problem.config)
-    return aims
-
-
-def unfinished(aims: Sequence[Aim], config: Config) -> list[str]:
-    """Return what there is to say about paths that are longer than the run."""
-    late = [aim for aim in aims if aim.path.duration > config.duration + 0.5 * config.dt]
-    return [
-        f"the run of {config.duration:g} s ends before the path of '{aim.term.name}', "
-        f"which takes {aim.path.duration:g} s"
-        for aim in late
-    ]
+    return log.run(follower.solves)
 
 
 class _Log:
@@ -173,7 +118,7 @@ class _Log:
             values[k] = state.error[name]
         self.done = k + 1
 
-    def run(self) -> Run:
+    def run(self, solves: int) -> Run:
         problem, config = self.problem, self.problem.config
         rows: dict[str, Any] = {name: getattr(self, name)[: self.done] for name in _ROWS}
         if self.q_commanded is not None:
@@ -201,6 +146,9 @@ class _Log:
             tolerance={"m": config.tolerance.position, "rad": config.tolerance.orientation},
             converging=converging,
         )
+        record["summary"]["solves"] = solves
+        for name, line in line_deviations(problem, rows["q"]).items():
+            record["summary"]["tasks"][name]["line"] = line_summary(problem.term[name], line)
         record["interrupted"] = self.interrupted
         record["notices"] = [*self.unfinished, *self._notices, *record["notices"]]
         if self.interrupted or self.unfinished:

@@ -1,5 +1,7 @@
 """How far a frame was from the straight line that its target drew."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +10,7 @@ from rmrc.control.aims import build_aims
 from rmrc.control.paths import LinePath
 from rmrc.problem.lie import pose_of
 from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.frame import FrameTerm
 
 Array = NDArray[np.float64]
@@ -33,6 +36,16 @@ def line_deviations(problem: Problem, q: Array) -> dict[str, Array]:
                 ends.append(aim.pose.copy())
             found[term.name] = _deviation(problem.model, term, q, *ends)
     return found
+
+
+def line_summary(term: Term, deviation: Array) -> dict[str, Any]:
+    """Return rms and max of a deviation (N, 2), of those halves that the task has a weight for."""
+    halves = [
+        {"rms": float(np.sqrt(np.mean(column**2))), "max": float(column.max()), "unit": unit}
+        for column, unit in zip(deviation.T, ("m", "rad"), strict=True)
+        if unit in term.units and len(deviation)
+    ]
+    return halves[0] | ({"orientation": halves[1]} if len(halves) > 1 else {}) if halves else {}
 
 
 def _deviation(model: mujoco.MjModel, term: FrameTerm, q: Array, begin: Array, end: Array) -> Array:

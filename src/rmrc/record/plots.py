@@ -1,4 +1,4 @@
-"""A run as panels of plots: plain data that the report's script draws."""
+"""A run as panels of plots: plain data that the page's script draws."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rmrc.record.run import Run
 
 Array = NDArray[np.float64]
+Panel = dict[str, Any]
 
 # Points that a trace may have, and that all traces of a panel may have together: a screen is
 # about 2000 pixels wide, and a browser redraws 150 000 points without a pause.
@@ -35,6 +36,7 @@ STATUS_COLOURS = {
     "STALE": "#b23a6b",
     "INVALID_INPUT": "#8b1e3f",
 }
+SINGULAR_VALUE = "Smallest singular value σ_min"
 _BOUND_COLOURS = {"lower bound": "#38a3a5", "upper bound": "#e08e45"}
 
 
@@ -49,21 +51,27 @@ def step_length(time: Array) -> float:
 
 
 def panels(run: "Run") -> dict[str, Any]:
-    """Return what the report draws: the time axis and the panels from top to bottom."""
+    """Return what the report of a run draws."""
     drawn = [
         *_error_panels(run),
         _joint_panel(run, "Joint positions", positions(run.manifest["model"], run.q)),
         _velocity_panel(run),
         _status_panel(run),
         _active_panel(run),
-        _line_panel(run, "Largest KKT residual", "", {"residual": run.kkt}),
-        _line_panel(run, "Smallest singular value σ_min", "", {"σ_min": run.sigma_min}, log=False),
+        line_panel(run.time, "Largest KKT residual", "", {"residual": run.kkt}),
+        line_panel(run.time, SINGULAR_VALUE, "", {"σ_min": run.sigma_min}, log=False),
         _step_time_panel(run),
     ]
+    return page_data(run.time, drawn)
+
+
+def page_data(time: Array, drawn: Sequence[Panel | None], **more: Any) -> dict[str, Any]:
+    """Return what a page draws: the time axis and the panels from top to bottom."""
     return {
-        "time": _packed(run.time),
-        "range": [float(run.time[0]), _end(run.time)] if len(run.time) else [0.0, 1.0],
+        "time": _packed(time),
+        "range": [float(time[0]), _end(time)] if len(time) else [0.0, 1.0],
         "panels": [panel for panel in drawn if panel is not None],
+        **more,
     }
 
 
@@ -100,25 +108,41 @@ def _packed(values: NDArray[Any]) -> str:
         return base64.b64encode(np.asarray(values).astype("<f4").tobytes()).decode("ascii")
 
 
-def _trace(run: "Run", name: str, values: Array, limit: int, **more: Any) -> dict[str, Any]:
-    """Return one curve, downsampled; without `x` it has a point at every time of the run."""
+def _trace(time: Array, name: str, values: Array, limit: int, **more: Any) -> dict[str, Any]:
+    """Return one curve, downsampled; without `x` it has a point at each of the page's times."""
     rows = extreme_rows(values, limit)
-    x = {"x": _packed(run.time[rows])} if len(rows) < len(values) else {}
+    x = {"x": _packed(time[rows])} if len(rows) < len(values) else {}
     return {"name": name, **x, "y": _packed(values[rows]), **more}
 
 
-def _line_panel(
-    run: "Run",
+def line_panel(
+    time: Array,
     title: str,
     unit: str,
     curves: Mapping[str, Array],
     marks: Sequence[dict[str, Any]] = (),
     log: bool = True,
-) -> dict[str, Any] | None:
-    """Return a panel of positive curves; None where all are NaN."""
+    styles: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Panel | None:
+    """Return a panel of positive curves; None where all are NaN.
+
+    Args:
+        time: The page's times (N,), s.
+        title: Of the panel.
+        unit: Of the values.
+        curves: The values (M,) by name, M ≤ N: the curve of a run that ended early is shorter.
+        marks: Horizontal lines, as `mark` gives them.
+        log: Whether the axis is logarithmic at first.
+        styles: `series`, the number of the colour, `dash` and `width`, by the names of curves; by
+            default each has a colour of its own.
+    """
     if not any(np.isfinite(curve).any() for curve in curves.values()):
         return None
-    traces = [_trace(run, name, curve, TRACE_POINTS) for name, curve in curves.items()]
+    styles = styles or {}
+    traces = [
+        _trace(time, name, curve, TRACE_POINTS, **styles.get(name, {}))
+        for name, curve in curves.items()
+    ]
     return {
         "kind": "lines",
         "title": title,
@@ -129,12 +153,12 @@ def _line_panel(
     }
 
 
-def _mark(name: str, y: float, unit: str) -> dict[str, Any]:
+def mark(name: str, y: float, unit: str) -> dict[str, Any]:
     """Return a horizontal line with its name and value."""
     return {"y": float(y), "text": f"{name} {y:.3g} {unit}"}
 
 
-def _error_panels(run: "Run") -> list[dict[str, Any] | None]:
+def _error_panels(run: "Run") -> list[Panel | None]:
     """Return one panel for each unit that the tasks' errors have."""
     curves: dict[str, dict[str, Array]] = {}
     for name, task in run.manifest["tasks"].items():
@@ -144,12 +168,12 @@ def _error_panels(run: "Run") -> list[dict[str, Any] | None]:
     tolerance = run.manifest["config"].get("tolerance", {})
     wanted = {"m": tolerance.get("position"), "rad": tolerance.get("orientation")}
     return [
-        _line_panel(
-            run,
+        line_panel(
+            run.time,
             titles.get(unit, f"Error in {unit}"),
             unit,
             curves[unit],
-            [_mark("tolerance", wanted[unit], unit)] if wanted.get(unit) else (),
+            [mark("tolerance", wanted[unit], unit)] if wanted.get(unit) else (),
         )
         for unit in sorted(curves)
     ]
@@ -157,41 +181,39 @@ def _error_panels(run: "Run") -> list[dict[str, Any] | None]:
 
 def _joint_panel(
     run: "Run", title: str, channels: Sequence[Channel], measured: Array | None = None
-) -> dict[str, Any]:
+) -> Panel:
     """Return a panel of joints, each with its own limits and its largest share of them."""
     limit = max(1000, min(TRACE_POINTS, PANEL_POINTS // max(1, len(channels))))
     traces = []
     for i, channel in enumerate(channels):
-        trace = _trace(run, channel.name, channel.values, limit, unit=channel.unit)
+        trace = _trace(run.time, channel.name, channel.values, limit, unit=channel.unit)
         if channel.bounded:
             middle, half = (channel.lower + channel.upper) / 2, (channel.upper - channel.lower) / 2
             peak = float(np.fmax.reduce(np.abs(channel.values - middle), initial=0.0)) / half
             trace |= {"lower": channel.lower, "upper": channel.upper, "peak": peak}
         if measured is not None:
-            trace["measured"] = _trace(run, "measured", measured[:, i], limit)
+            trace["measured"] = _trace(run.time, "measured", measured[:, i], limit)
         traces.append(trace)
     return {"kind": "joints", "title": title, "traces": traces}
 
 
-def _velocity_panel(run: "Run") -> dict[str, Any]:
+def _velocity_panel(run: "Run") -> Panel:
     followed_exactly = np.array_equal(run.v, run.v_measured, equal_nan=True)
     channels = rates(run.manifest["model"], run.v, "velocity")
     measured = None if followed_exactly else run.v_measured
     return _joint_panel(run, "Joint velocities", channels, measured)
 
 
-def _step_time_panel(run: "Run") -> dict[str, Any] | None:
+def _step_time_panel(run: "Run") -> Panel | None:
     if not len(run.step_time):
         return None
     microseconds = run.step_time * 1e6
     median, p99 = np.percentile(microseconds, [50, 99])
-    marks = [_mark("median", median, "µs"), _mark("99 %", p99, "µs")]
-    return _line_panel(run, "Time to compute a step", "µs", {"step": microseconds}, marks)
+    marks = [mark("median", median, "µs"), mark("99 %", p99, "µs")]
+    return line_panel(run.time, "Time to compute a step", "µs", {"step": microseconds}, marks)
 
 
-def _strip(
-    title: str, run: "Run", rows: Mapping[str, NDArray[Any]], names: Sequence[str]
-) -> dict[str, Any]:
+def _strip(title: str, run: "Run", rows: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Panel:
     """Return a panel of coloured strips, one for each row of integers (N,), greatest wins."""
     steps = len(run.time)
     length = -(-steps // STRIP_CELLS)
@@ -209,7 +231,7 @@ def _strip(
     }
 
 
-def _status_panel(run: "Run") -> dict[str, Any] | None:
+def _status_panel(run: "Run") -> Panel | None:
     if not len(run.time):
         return None
     statuses = run.manifest["statuses"]
@@ -217,7 +239,7 @@ def _status_panel(run: "Run") -> dict[str, Any] | None:
     return panel | {"colours": [status_colour(name) for name in statuses]}
 
 
-def _active_panel(run: "Run") -> dict[str, Any] | None:
+def _active_panel(run: "Run") -> Panel | None:
     """Return the strips of the joints that have had an active bound; None where none has."""
     names = [channel.name for channel in rates(run.manifest["model"], run.v, "velocity")]
     # 0 none, 1 lower, 2 upper.

@@ -1,16 +1,9 @@
 """`Run`: what a run did, row by row, and the folder that holds it."""
 
 import json
-import math
-import os
-import re
-import secrets
-import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +11,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rmrc.errors import RmrcError
+from rmrc.record.folder import FolderKind, plain, write_json
 from rmrc.record.report import write_report
 
 Array = NDArray[np.float64]
@@ -26,6 +20,7 @@ FORMAT = 1
 MANIFEST = "run.json"
 TRAJECTORY = "trajectory.npz"
 REPORT = "report.html"
+RUN_FOLDER = FolderKind("run", (MANIFEST, TRAJECTORY))
 
 # Every array but the errors: its type, and the model's dimension that its rows have.
 _ARRAYS: dict[str, tuple[DTypeLike, str | None]] = {
@@ -84,7 +79,7 @@ class Run:
     """Set points of the joint controllers (N, nq); None where nothing stands between them and q."""
 
     def __post_init__(self):
-        manifest = {"format": FORMAT, **_plain(self.manifest)}
+        manifest = {"format": FORMAT, **plain(self.manifest)}
         if missing := [key for key in _MANIFEST_KEYS if key not in manifest]:
             raise RmrcError(f"the manifest has no '{missing[0]}'")
         object.__setattr__(self, "manifest", manifest)
@@ -124,11 +119,7 @@ class Run:
         Raises:
             RmrcError: If the folder is in the way or cannot be written.
         """
-        target = Path(directory).resolve()
-        ensure_free(directory, overwrite=overwrite)
-        with self._written_beside(target, report) as written:
-            _move(written, target)
-        return Path(directory)
+        return RUN_FOLDER.save(directory, self._writer(report), overwrite=overwrite)
 
     def save_numbered(self, parent: str | Path, *, report: bool = True) -> Path:
         """Write the run folder as `parent`/NAME-0001, counting up; return it.
@@ -138,19 +129,7 @@ class Run:
         Raises:
             RmrcError: If the folder cannot be written.
         """
-        name = re.sub(r"[^\w.\-]", "_", self.manifest["name"])
-        with self._written_beside(Path(parent).resolve() / name, report) as written:
-            for number in count(_last_number(written.parent, name) + 1):
-                target = Path(parent) / f"{name}-{number:04d}"
-                try:
-                    # A folder that another process has put there makes the renaming fail.
-                    written.rename(target)
-                except OSError:
-                    if not target.exists():
-                        raise
-                else:
-                    return target
-        raise AssertionError("unreachable")
+        return RUN_FOLDER.save_numbered(parent, self.manifest["name"], self._writer(report))
 
     @classmethod
     def load(cls, directory: str | Path) -> "Run":
@@ -179,27 +158,16 @@ class Run:
         except (AttributeError, KeyError, TypeError, ValueError) as mistake:
             raise RmrcError(f"'{directory / MANIFEST}' is damaged: {mistake!r}") from None
 
-    @contextmanager
-    def _written_beside(self, target: Path, report: bool) -> Iterator[Path]:
-        """Write a whole run folder under a temporary name beside `target`, to be moved there."""
-        temporary = target.parent / f".{target.name}-{secrets.token_hex(4)}"
-        try:
-            temporary.mkdir(parents=True)
-            (temporary / MANIFEST).write_text(
-                json.dumps(self.manifest, indent=2, ensure_ascii=False, allow_nan=False) + "\n",
-                encoding="utf-8",
-            )
-            _write_arrays(temporary / TRAJECTORY, self._arrays())
+    def _writer(self, report: bool) -> Callable[[Path], None]:
+        """Return what writes the files of the run folder."""
+
+        def write(folder: Path) -> None:
+            write_json(folder / MANIFEST, self.manifest)
+            _write_arrays(folder / TRAJECTORY, self._arrays())
             if report:
-                write_report(self, temporary / REPORT)
-            for path in (*temporary.iterdir(), temporary):
-                _flush(path)
-            yield temporary
-            _flush(target.parent)
-        except OSError as mistake:
-            raise RmrcError(f"cannot save the run as '{target}': {mistake}") from mistake
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+                write_report(self, folder / REPORT)
+
+        return write
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         arrays = {name: getattr(self, name) for name in _ARRAYS}
@@ -207,38 +175,6 @@ class Run:
             if arrays[name] is None:
                 del arrays[name]
         return arrays | {f"error.{name}": array for name, array in self.error.items()}
-
-
-def ensure_free(directory: str | Path, *, overwrite: bool = False) -> None:
-    """Make sure that a run can be saved as `directory`, before it is run.
-
-    Raises:
-        RmrcError: If something is there that would be lost.
-    """
-    if not os.path.lexists(directory) or _is_empty(Path(directory)):
-        return
-    if not is_run_folder(directory):
-        raise RmrcError(f"'{directory}' exists and is not a run folder; it stays as it is")
-    if not overwrite:
-        raise RmrcError(f"'{directory}' already holds a run; name another folder, or remove it")
-
-
-def is_run_folder(directory: str | Path) -> bool:
-    """Return whether a folder holds a run."""
-    return all((Path(directory) / name).is_file() for name in (MANIFEST, TRAJECTORY))
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as strict JSON can hold it: no numpy, no tuples, null for NaN and ±∞."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, Path):
-        return str(value)
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _fitting(
@@ -288,40 +224,3 @@ def _write_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
             entry.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(entry, "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, array, allow_pickle=False)
-
-
-def _move(written: Path, target: Path) -> None:
-    """Move a folder to its place; a folder that is there is put aside first, then removed."""
-    if not target.exists():
-        written.rename(target)
-        return
-    aside = written.with_name(f"{written.name}-old")
-    target.rename(aside)
-    try:
-        written.rename(target)
-    except BaseException:
-        aside.rename(target)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
-
-
-def _flush(path: Path) -> None:
-    """Make sure that a file, or the entries of a folder, are on the disk."""
-    if os.name == "nt" and path.is_dir():
-        return  # Windows gives no handle of a folder.
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _is_empty(path: Path) -> bool:
-    return path.is_dir() and not any(path.iterdir())
-
-
-def _last_number(parent: Path, name: str) -> int:
-    """Return the highest NUMBER of the entries NAME-NUMBER of a folder, or 0."""
-    pattern = re.compile(re.escape(name) + r"-(\d{4,})")
-    found = (pattern.fullmatch(entry.name) for entry in parent.iterdir())
-    return max((int(match[1]) for match in found if match), default=0)

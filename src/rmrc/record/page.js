@@ -1,10 +1,13 @@
 "use strict";
 const data = JSON.parse(document.getElementById("data").textContent);
 const EMPHASISED = 8;
+const DECADES = 8;
 const LEFT_MARGIN = 64;
 const PRINT_WIDTH = 660;
 let range = data.range.slice();
 let printing = false;
+// The names that are hidden in all panels, where the panels are linked.
+const hidden = new Set();
 
 const unpack = (text) =>
   new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
@@ -68,7 +71,7 @@ function lines(panel, theme) {
   return {
     traces: shown.map((trace) => ({
       type: "scatter", mode: "lines", x: trace.x, y: trace.y, name: plain(trace.name),
-      line: { width: 1.5, color: trace.colour(theme) },
+      line: { width: trace.width ?? 1.5, color: trace.colour(theme), dash: trace.dash },
       hovertemplate: `%{y:.4g} ${panel.unit}`,
     })),
     layout: {
@@ -85,8 +88,11 @@ function lines(panel, theme) {
 // About five ticks, at whole decades where there are more than two.
 function logarithmic(traces) {
   const exponents = traces.flatMap((trace) => [...trace.y].filter((y) => y > 0).map(Math.log10));
-  const [low, high] = extent(exponents);
-  return { type: "log", dtick: high - low > 2 ? Math.round((high - low) / 5) || 1 : "D2" };
+  let [low, high] = extent(exponents);
+  // What is left of an error when all is over is rounding: it would flatten the rest.
+  const range = data.linked && high - low > DECADES ? [low = high - DECADES, high] : undefined;
+  const dtick = high - low > 2 ? Math.round((high - low) / 5) || 1 : "D2";
+  return { range, type: "log", dtick };
 }
 
 function allJoints(panel, theme) {
@@ -199,22 +205,32 @@ function draw(panel) {
   });
 }
 
+// What a legend has of a curve: its colour and its name.
+function chip(tag, text, colour, more, dash) {
+  const swatch = element("i", { className: "swatch" });
+  swatch.style.background = pattern(colour, dash);
+  return element(tag, more, swatch, text);
+}
+
+function pattern(colour, dash) {
+  const period = { dash: 5, dot: 2 }[dash];
+  const stripes = `${colour} 0 ${period}px, transparent 0 ${period + 2}px`;
+  return period ? `repeating-linear-gradient(90deg, ${stripes})` : colour;
+}
+
+function toggle(names, name) {
+  names.delete(name) || names.add(name);
+}
+
 // The legend: a click hides a curve, or opens a joint.
 function writeChips(panel, theme) {
-  const chip = (tag, text, colour, more) => {
-    const swatch = element("i", { className: "swatch" });
-    swatch.style.background = colour;
-    return element(tag, more, swatch, text);
-  };
-  const redraw = (change) => () => { change(); draw(panel); };
+  const redraw = (change) => () => { change(); data.linked ? drawAll() : draw(panel); };
   let chips = [];
   if (panel.kind === "lines" && panel.traces.length > 1) {
     chips = panel.traces.map((trace) => chip("button", trace.name, trace.colour(theme), {
       className: panel.hidden.has(trace.name) ? "off" : "",
-      onclick: redraw(() => {
-        panel.hidden.delete(trace.name) || panel.hidden.add(trace.name);
-      }),
-    }));
+      onclick: redraw(() => toggle(panel.hidden, trace.name)),
+    }, trace.dash));
   } else if (panel.kind === "joints" && panel.joint < 0) {
     const others = panel.traces.filter((trace) => trace.peak !== undefined).length - panel.top.size;
     chips = [...panel.top].map((trace) => chip("button", trace.name, trace.colour(theme), {
@@ -241,10 +257,10 @@ function setUp(panel) {
   const controls = [];
   panel.traces?.forEach(unpackTrace);
   panel.traces?.forEach((trace, i) => {
-    trace.colour = (theme) => theme.series[i % theme.series.length];
+    trace.colour = (theme) => theme.series[(trace.series ?? i) % theme.series.length];
   });
   if (panel.kind === "lines") {
-    panel.hidden = new Set();
+    panel.hidden = data.linked ? hidden : new Set();
     const scale = element("button");
     const say = () => { scale.textContent = panel.log ? "linear axis" : "logarithmic axis"; };
     scale.onclick = () => {
@@ -302,7 +318,22 @@ function link(panel) {
   });
 }
 
-const drawAll = () => Promise.all(data.panels.map(draw));
+// A cell of a table that names a curve is its legend too.
+function writeLegend() {
+  const theme = colours();
+  for (const cell of document.querySelectorAll("td[data-series]")) {
+    const { name, series, dash } = cell.dataset;
+    cell.parentElement.className = hidden.has(name) ? "off" : "";
+    cell.replaceChildren(chip("button", cell.textContent, theme.series[series % theme.series.length], {
+      onclick: () => { toggle(hidden, name); drawAll(); },
+    }, dash));
+  }
+}
+
+function drawAll() {
+  writeLegend();
+  return Promise.all(data.panels.map(draw));
+}
 
 data.panels.forEach(setUp);
 drawAll().then(() => data.panels.forEach(link));
