@@ -37,4 +37,4 @@ schema: $(VENV)/test.stamp
 	$(BIN)/rmrc schema > rmrc.schema.json
 
 clean:
-	rm -rf $(VENV) runs .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) runs comparisons .pytest_cache .ruff_cache .hypothesis

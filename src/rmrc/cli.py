@@ -210,11 +210,12 @@ def _print_comparison(name: str, summary: dict[str, Any], folder: Path) -> None:
 
     console = Console(highlight=False)
     head, rows = table(summary, whole=False)
-    shown = Table(
-        title=escape(name), title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
-    )
-    for title in head:
-        shown.add_column(escape(title), overflow="fold")
+    shown = Table(title=escape(name), title_justify="left", box=None, padding=(0, 1, 0, 0))
+    for title, *cells in zip(head, *rows, strict=True):
+        words = [word for text in (title, *(cell.text for cell in cells)) for word in text.split()]
+        # The last column, of the statuses, takes what is left of the width.
+        width = max(map(len, words)) if title != head[-1] else None
+        shown.add_column(escape(title), overflow="fold", width=width)
     for row in rows:
         shown.add_row(*(f"[red]{escape(c.text)}[/]" if c.bad else escape(c.text) for c in row))
     console.print(shown)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import Phase, seed, settings
 from hypothesis import strategies as st
-from models import REPOSITORY, config, random_configuration
 from numpy.typing import NDArray
 
 import rmrc
+from models import REPOSITORY, config, random_configuration
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def examples(count: int):
 
     What fails is not shrunk: most of an example hangs on the seed of a generator.
     """
-    options = settings(max_examples=count, deadline=None, phases=[Phase.generate])
+    options = settings(max_examples=count, deadline=None, phases=[Phase.explicit, Phase.generate])
     return lambda test: seed(0)(options(test))
 
 
@@ -143,12 +143,11 @@ def random_moment(controller: rmrc.Controller, rng: np.random.Generator) -> Mome
     return Moment(q, target, 0.3 * rng.normal(size=6))
 
 
-def asked(controller: rmrc.Controller) -> tuple[Array, Array]:
-    """Return J (m, n) and ẋ (m,) of the hand's weighed rows at the last step."""
-    engine, term = controller.engine, controller.problem.term["hand"]
-    start = engine.evaluation.rows_of([term]).start
+def asked(controller: rmrc.Controller, name: str = "hand") -> tuple[Array, Array]:
+    """Return J (m, n) and ẋ (m,) of a task's weighed rows at the last step."""
+    engine, term = controller.engine, controller.problem.term[name]
     weight = term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
-    rows = start + np.flatnonzero(weight)
+    rows = engine.evaluation.rows_of([term]).start + np.flatnonzero(weight)
     columns = controller.problem.dofs
     return engine.evaluation.jacobian[np.ix_(rows, columns)], engine.assembly.rate[rows]
 

@@ -7,7 +7,6 @@ import mink
 import numpy as np
 import pytest
 from hypothesis import assume, given
-from models import random_quaternion
 from robots import (
     ROBOTS,
     Moment,
@@ -22,6 +21,7 @@ from robots import (
 )
 
 import rmrc
+from models import random_quaternion
 
 # Rounding of positions some meters away, times conditions up to 1e5.
 SAME_MOTION = 1e-8
@@ -36,24 +36,22 @@ PLACED = """
 </mujoco>
 """
 
+METHODS = (
+    "inverse",
+    "transpose",
+    "pinv",
+    "weighted",
+    "dls",
+    "sdls",
+    "nullspace",
+    "saturated",
+    "descent",
+)
 WAYS = {
     "qp": {},
     "strict": {"priority": "strict"},
     "limits": {"limits": {"velocity": {"default": 0.3}}},
-    **{
-        method: {"method": method}
-        for method in (
-            "inverse",
-            "transpose",
-            "pinv",
-            "weighted",
-            "dls",
-            "sdls",
-            "nullspace",
-            "saturated",
-            "descent",
-        )
-    },
+    **{method: {"method": method} for method in METHODS},
 }
 
 

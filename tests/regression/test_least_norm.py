@@ -1,4 +1,4 @@
-"""The pseudo-inverse has the least ‖q̇‖ of all solutions: any other adds what is orthogonal to it."""
+"""The pseudo-inverse has the least ‖q̇‖ of all solutions: any other adds to it at right angles."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ from robots import (
     unit_links,
 )
 
-# Rounding, times the condition σ₁/σ and that of a metric, 100.
-SOLVED = 1e-9
+# The strict QP is damped by 1e-12, which moves it by that over σ² ≥ 4e-4.
+SOLVED = 1e-8
 LEAST_SIGMA = 0.02
 
 POSTURE = {"name": "posture", "type": "posture", "level": 1}
@@ -25,7 +25,7 @@ POSTURE = {"name": "posture", "type": "posture", "level": 1}
 @each_robot
 @examples(15)
 @given(numbers)
-def test_no_other_solution_is_shorter(robot, tmp_path_factory, number) -> None:
+def test_every_other_solution_is_longer_by_what_it_adds(robot, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)
     arm = random_robot(robot, rng, tmp_path_factory.getbasetemp())
     pinv = arm.controller(arm.hand(), method="pinv")
@@ -33,25 +33,35 @@ def test_no_other_solution_is_shorter(robot, tmp_path_factory, number) -> None:
     v = moment.step(pinv).v
     jacobian, rate = asked(pinv)
     assume(np.linalg.svd(jacobian, compute_uv=False)[-1] >= LEAST_SIGMA)
+    assert_close(jacobian @ v, rate, SOLVED)
     metric = definite(rng, v.size).tolist()
-    fastest = np.abs(v).max()
-    others = {
-        "weighted": arm.controller(arm.hand(), method="weighted", metric=metric),
-        "nullspace": arm.controller(arm.hand(), POSTURE, method="nullspace"),
-        "strict": arm.controller(arm.hand(), POSTURE, priority="strict"),
-        "saturated": arm.controller(
-            arm.hand(),
-            method="saturated",
-            limits={"position": "off", "velocity": {"default": 0.98 * fastest}},
-        ),
-    }
-    for name, controller in others.items():
+    for controller in (
+        arm.controller(arm.hand(), method="weighted", metric=metric),
+        arm.controller(arm.hand(), POSTURE, method="nullspace"),
+        arm.controller(arm.hand(), POSTURE, priority="strict"),
+    ):
         other = moment.step(controller).v
-        moved = jacobian @ other
-        if name == "saturated":  # holds the task only where the others can take over
-            assume(np.abs(moved - rate).max() <= SOLVED * max(1.0, fastest))
-        assert_close(moved, rate, SOLVED)
-        added = other - v
-        # ‖other‖² = ‖v‖² + ‖added‖², as v ⟂ null space.
-        assert abs(added @ v) <= SOLVED * max(1.0, np.linalg.norm(added) * np.linalg.norm(v))
-        assert np.linalg.norm(other) >= np.linalg.norm(v)
+        assert_close(jacobian @ other, rate, SOLVED)
+        added = np.linalg.norm(other - v)
+        assert added > 0.01 or len(rate) == v.size
+        assert np.linalg.norm(other) == pytest.approx(
+            np.hypot(np.linalg.norm(v), added), rel=SOLVED
+        )
+
+
+@pytest.mark.parametrize(
+    ("dofs", "expected"),
+    [
+        (None, [3 / 14, 2 / 14, 1 / 14]),  # ‖v‖ = 1/√14 = 0.267 rad/s
+        (["joint1"], [1 / 3, 0, 0]),
+        (["joint2"], [0, 1 / 2, 0]),
+        (["joint3"], [0, 0, 1]),
+    ],
+)
+def test_a_straight_arm_moves_across_by_all_its_joints(dofs, expected) -> None:
+    # Across unit links along x, J = [3, 2, 1]; 1 m/s is asked for.
+    arm = unit_links(3)
+    across = {**arm.hand(axes="world"), "B": [0, 1, 0, 0, 0, 0]}
+    controller = arm.controller(across, method="pinv", start=[0.0, 0.0, 0.0], dofs=dofs)
+    controller.set_target("hand", [3.0, 0.0, 0.0], velocity=[0, 1, 0, 0, 0, 0])
+    assert controller.step().v == pytest.approx(expected, abs=SOLVED)

@@ -18,8 +18,8 @@ from robots import (
     random_robot,
 )
 
-# Rounding, times the condition σ₁²/λ² of the QP's matrix: 1e7 at the least λ, 1e-3.
-RATE = 1e-8
+# Rounding of JᵀJ and Jᵀẋ, of the order of 100, over the least eigenvalue of the QP's matrix, λ².
+ROUNDING = 1e-12
 # Rounding, times the condition of JᵀBJ: 1e7 at the least σ, below.
 INVERSE = 1e-8
 LEAST_SIGMA = 0.02
@@ -33,7 +33,7 @@ def assert_rate(qp, pinv, moment, damping: float) -> None:
     _, sigma, directions = np.linalg.svd(asked(pinv)[0])
     share = np.ones(v.size)  # of what lies in the null space
     share[: sigma.size] = damping**2 / (sigma**2 + damping**2)
-    assert_close(directions @ (v - damped), share * (directions @ v), RATE)
+    assert_close(directions @ (v - damped), share * (directions @ v), ROUNDING / damping**2)
 
 
 @each_robot

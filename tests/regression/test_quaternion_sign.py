@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from models import config, random_quaternion
 from robots import (
     OFF,
     assert_close,
@@ -15,6 +14,7 @@ from robots import (
 )
 
 import rmrc
+from models import config, random_quaternion
 
 # Rounding of the logarithm, which a sign may change, times conditions up to 1e4.
 SAME_ROTATION = 1e-10
@@ -50,9 +50,7 @@ def test_the_sign_of_a_targets_quaternion(robot, way, tmp_path_factory, number) 
     for sign in (1.0, -1.0):
         controller.reset()
         for task, quaternion, twist in zip(tasks, quaternions, twists, strict=True):
-            assert controller.set_target(
-                task["name"], quaternion=sign * quaternion, velocity=twist
-            )
+            assert controller.set_target(task["name"], quaternion=sign * quaternion, velocity=twist)
         rates.append(controller.step(q).v)
     assert_close(rates[1], rates[0], SAME_ROTATION)
 

@@ -1,8 +1,8 @@
-"""`saturated` is the QP that keeps its direction, and the QP itself where the box admits the task."""
+"""`saturated` is the QP that keeps its direction, and the QP where the box admits the task."""
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from robots import (
     Moment,
@@ -52,6 +52,9 @@ def boxed(robot: str, rng: np.random.Generator, folder, share: float) -> tuple[R
 
 @each_robot
 @examples(20)
+@example(52, 0.5)
+@example(151, 0.5)
+@example(4, 0.5)
 @given(numbers, shares)
 def test_saturated_is_the_qp_that_keeps_its_direction(
     robot, tmp_path_factory, number, share
@@ -71,6 +74,8 @@ def test_saturated_is_the_qp_that_keeps_its_direction(
 @each_robot
 @pytest.mark.parametrize("priority", ["soft", "strict"])
 @examples(20)
+@example(137, 0.5)
+@example(3, 0.5)
 @given(numbers, shares)
 def test_the_qp_holds_the_task_as_saturated_does_or_comes_nearer(
     robot, priority, tmp_path_factory, number, share
@@ -107,9 +112,7 @@ def test_the_qp_is_damped_least_squares_in_its_box(
 @each_robot
 @examples(10)
 @given(numbers)
-def test_saturated_is_the_pseudo_inverse_within_the_limits(
-    robot, tmp_path_factory, number
-) -> None:
+def test_saturated_is_the_pseudo_inverse_within_the_limits(robot, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)
     arm = random_robot(robot, rng, tmp_path_factory.getbasetemp())
     pinv, saturated = (arm.controller(arm.hand(), method=m) for m in ("pinv", "saturated"))

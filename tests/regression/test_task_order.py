@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from models import random_quaternion
+from hypothesis import example, given
 from robots import (
     assert_close,
     definite,
@@ -14,22 +13,25 @@ from robots import (
     random_robot,
 )
 
+from models import random_quaternion
+
 # Rounding of sums in another order, times conditions up to 1e5.
 SAME_SUM = 1e-9
 
+METHODS = ("transpose", "pinv", "dls", "sdls", "nullspace", "saturated", "descent")
 WAYS = {
     "soft": {},
     "strict": {"priority": "strict"},
     "limits": {"limits": {"velocity": {"default": 0.3}}},
     "strict limits": {"priority": "strict", "limits": {"velocity": {"default": 0.3}}},
-    **{method: {"method": method} for method in ("transpose", "pinv", "dls", "sdls", "nullspace")},
-    **{method: {"method": method} for method in ("saturated", "descent")},
+    **{method: {"method": method} for method in METHODS},
 }
 
 
 @each_robot
 @pytest.mark.parametrize("way", WAYS)
 @examples(5)
+@example(109)
 @given(numbers)
 def test_tasks_may_be_written_in_any_order(robot, way, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)

@@ -3,28 +3,26 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from robots import assert_close, each_robot, examples, numbers, random_moment, random_robot
+from robots import assert_close, examples, numbers, random_moment, random_robot
 
 # The square roots of B differ by rotations: rounding, times conditions up to 1e4.
 SAME_WEIGHT = 1e-9
 
+METHODS = (
+    "transpose",
+    "pinv",
+    "weighted",
+    "dls",
+    "sdls",
+    "nullspace",
+    "saturated",
+    "descent",
+)
 WAYS = {
     "qp": {},
     "strict": {"priority": "strict"},
     "direction": {},
-    **{
-        method: {"method": method}
-        for method in (
-            "transpose",
-            "pinv",
-            "weighted",
-            "dls",
-            "sdls",
-            "nullspace",
-            "saturated",
-            "descent",
-        )
-    },
+    **{method: {"method": method} for method in METHODS},
 }
 
 
@@ -36,10 +34,10 @@ def test_the_form_of_a_weight_does_not_matter(robot, way, tmp_path_factory, numb
     rng = np.random.default_rng(number)
     arm = random_robot(robot, rng, tmp_path_factory.getbasetemp()).asking(0, 1, 2)
     options = {"metric": 1.0, "damping": {"lambda": 0.1}, **WAYS[way]}
-    keep = {"preserve": "direction"} if way == "direction" else {}
-    diagonal = arm.controller(arm.hand(**keep), **options)
+    task = arm.hand(preserve="direction" if way == "direction" else None)
+    diagonal = arm.controller(task, **options)
     moment = random_moment(diagonal, rng)
     v = moment.step(diagonal).v
     for weight in (np.diag([1.0, 1, 1, 0, 0, 0]).tolist(), {"position": 1.0, "orientation": 0.0}):
-        task = {**arm.hand(**keep), "B": weight}
-        assert_close(moment.step(arm.controller(task, **options)).v, v, SAME_WEIGHT)
+        other = arm.controller({**task, "B": weight}, **options)
+        assert_close(moment.step(other).v, v, SAME_WEIGHT)

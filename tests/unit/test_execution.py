@@ -473,10 +473,15 @@ def test_torques_keep_the_limits_of_the_model_where_the_reach_ends() -> None:
     np.testing.assert_allclose(servos.reach(data), limits / ([2000] * 4 + [500] * 3))
 
 
-def test_a_joint_without_limits_has_no_end_of_its_reach() -> None:
+def test_actuators_of_one_joint_give_their_torques_together() -> None:
     model = mujoco.MjModel.from_xml_string(SERVO_SCENE)
     assert np.isinf(torque_limits(model)).all()
     assert np.isinf(PositionServos(model).reach(mujoco.MjData(model))).all()
+    model.actuator_gear[0, 0] = -2.0
+    model.actuator_forcelimited[:2], model.actuator_forcerange[:2] = True, [(-4, 5), (-10, 10)]
+    assert torque_limits(model).tolist() == [2 * 5 + 3 * 10, np.inf]
+    reach = PositionServos(model).reach(mujoco.MjData(model))
+    assert reach.tolist() == [40 / (200 * 3**2), np.inf]
 
 
 @pytest.mark.parametrize("damping_ratio", [0.3, 1.0, 2.0])

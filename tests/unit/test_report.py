@@ -1,11 +1,6 @@
 """The report: self-contained, escaped, complete, and with plots that keep to the same time."""
 
-import base64
-import json
-import shutil
-import subprocess
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_record import STATUSES, arm_model, fabricated, humanoid_model
 
+from pages import Page, assert_self_contained, browsed, data_of, unpack
 from rmrc.record.page import quantity
 from rmrc.record.plots import STATUS_COLOURS, STRIP_CELLS, TRACE_POINTS, extreme_rows, panels
 from rmrc.record.report import write_report
@@ -22,49 +18,13 @@ from rmrc.record.run import Run
 
 # plotly.js is 4.8 MB; the rest is for the longest runs of the largest robots.
 SMALL_REPORT, LARGE_REPORT = 6_000_000, 9_000_000
-BROWSER_SECONDS = 60
 NASTY = "</script><script>document.title='owned'</script>&amp;%{y}<b>"
-
-
-class Page(HTMLParser):
-    """The elements of a page, the texts of some of them, and where it would fetch from."""
-
-    VOID = ("meta", "br", "link", "img", "input")
-
-    def __init__(self, text: str):
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: dict[str, str] = {}
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        tag = self.open[-1] if self.open else ""
-        self.texts[tag] = self.texts.get(tag, "") + data
 
 
 def written(run: Run, tmp_path: Path) -> tuple[str, Page]:
     write_report(run, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     return text, Page(text)
-
-
-def data_of(text: str) -> dict[str, Any]:
-    start = text.index('id="data">') + len('id="data">')
-    return json.loads(text[start : text.index("</script>", start)])
-
-
-def unpack(text: str) -> np.ndarray:
-    return np.frombuffer(base64.b64decode(text), "<f4")
 
 
 def panel(run: Run, title: str) -> dict[str, Any]:
@@ -78,19 +38,7 @@ def run() -> Run:
 
 def test_the_report_needs_no_network(run: Run, tmp_path: Path) -> None:
     _, page = written(run, tmp_path)
-    assert page.open == []
-    assert not [
-        (tag, name)
-        for tag, attributes in page.tags
-        for name in attributes
-        if name in ("src", "href", "srcset", "data", "action")
-    ]
-    policies = [a["content"] for _, a in page.tags if "Content-Security-Policy" in a.values()]
-    assert len(policies) == 1
-    assert str(policies[0]).startswith("default-src 'none';")
-    assert "http" not in str(policies[0])
-    assert "@import" not in page.texts["style"]
-    assert "url(" not in page.texts["style"]
+    assert_self_contained(page)
 
 
 def test_the_report_has_the_numbers_and_the_names(run: Run, tmp_path: Path) -> None:
@@ -256,21 +204,11 @@ def test_a_spike_of_one_step_survives_in_a_long_run() -> None:
 
 # In a browser
 
-_PROBE = """
-<script>
-const mistakes = [];
-addEventListener("error", (event) => mistakes.push(event.message));
-addEventListener("securitypolicyviolation", (event) => mistakes.push(event.blockedURI));
-</script>
-"""
 _ACT = """
-<pre id="found"></pre>
-<script>
-drawAll().then(async () => {
   const { panels } = data;
   const joints = panels.find((panel) => panel.kind === "joints");
   const ranges = () => panels.map((panel) => panel.plot.layout.xaxis.range);
-  const found = { title: document.title, drawn: panels.length };
+  Object.assign(found, { title: document.title, drawn: panels.length });
   Plotly.Fx.hover(panels[0].plot, { xval: 0.1 });
   await new Promise((done) => setTimeout(done, 300));
   found.hover = panels[0].plot.querySelector(".hoverlayer").textContent;
@@ -288,41 +226,13 @@ drawAll().then(async () => {
   found.other = panels[0].plot.layout.yaxis.type;
   dispatchEvent(new Event("beforeprint"));
   dispatchEvent(new Event("afterprint"));
-  found.mistakes = mistakes;
-  document.getElementById("found").textContent = JSON.stringify(found);
-});
-</script>
 """
-
-
-def browsed(report: Path, tmp_path: Path) -> dict[str, Any]:
-    """Open a report in Chromium, use it, and return what was found; skip where there is none."""
-    chromium = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
-    if chromium is None:
-        pytest.skip("needs chromium")
-    text = report.read_text(encoding="utf-8").replace("<title>", _PROBE + "<title>", 1)
-    report.write_text(text.replace("</body>", _ACT + "</body>"), encoding="utf-8")
-    page = subprocess.run(
-        [
-            *(chromium, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"),
-            *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-            *(f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=10000"),
-            *("--window-size=1200,2000", "--dump-dom", report.as_uri()),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=BROWSER_SECONDS,
-        check=True,
-    ).stdout
-    start = page.index('<pre id="found">', page.index("</section>")) + len('<pre id="found">')
-    content = page[start : page.index("</pre>", start)]
-    return json.loads(content.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
 
 
 def test_the_plots_work_in_a_browser(tmp_path: Path) -> None:
     run = nasty_run()
     write_report(run, tmp_path / "report.html")
-    found = browsed(tmp_path / "report.html", tmp_path)
+    found = browsed(tmp_path / "report.html", _ACT, tmp_path)
     assert found["mistakes"] == []
     assert found["title"] == NASTY
     assert NASTY in found["hover"]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, get_args
 
@@ -37,7 +38,7 @@ class Entry:
     """One of the runs that are compared."""
 
     name: str
-    """Method, and where they differ backend and way of following, as in `qp daqp`."""
+    """Method, and backend and way of following where there are several, as in `qp daqp`."""
     run: Run
     finished: bool
     """Whether it went on to the end of its duration."""
@@ -69,6 +70,7 @@ class Entry:
                 "finished": self.finished,
                 "converged": summary["converged"],
                 "steps": summary["steps"],
+                "solves": summary["solves"],
                 "line": error.pop("line", None) if error is not None else None,
                 "error": error,
                 "largest_rate": self._largest_rate(),
@@ -214,25 +216,26 @@ def _variants(
     config: Config, methods: Sequence[str], backends: Sequence[str], follow: Sequence[str]
 ) -> dict[str, Config]:
     """Return the configurations to run, by name, in order and each once."""
-    for kind, wanted, known in (
-        ("method", methods, METHODS),
-        ("way of following", follow, FOLLOWS),
-    ):
-        if unknown := [name for name in wanted if name not in known]:
-            raise RmrcError(unknown_name(kind, unknown[0], known))
+    _ensure_known("method", methods, METHODS)
+    _ensure_known("way of following", follow, FOLLOWS)
     for backend in backends:
         create(backend)  # an unknown one says so
     variants = {}
     for method in methods or METHODS:
-        solvers = backends or tuple(BACKENDS) if method == "qp" else (None,)
-        for backend in solvers:
-            for way in follow or (config.follow,):
-                parts = (method, backend, way if len(follow) > 1 else None)
-                changes: dict[str, Any] = {"method": method, "follow": way}
-                if backend is not None:
-                    changes["solver"] = config.solver.model_copy(update={"backend": backend})
-                variants[" ".join(filter(None, parts))] = config.model_copy(update=changes)
+        solvers = (backends or tuple(BACKENDS)) if method == "qp" else (config.solver.backend,)
+        for backend, way in product(solvers, follow or (config.follow,)):
+            solver = config.solver.model_copy(update={"backend": backend})
+            name = [method, *[backend] * (len(solvers) > 1), *[way] * (len(follow) > 1)]
+            variants[" ".join(name)] = config.model_copy(
+                update={"method": method, "solver": solver, "follow": way}
+            )
     return variants
+
+
+def _ensure_known(kind: str, names: Sequence[str], known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise RmrcError(unknown_name(kind, name, known))
 
 
 def _part(progress: Progress | None, done: int, whole: int) -> Progress | None:
@@ -256,6 +259,6 @@ def _entry(name: str, config: Config, progress: Progress | None) -> Entry:
 
 
 def _decisive(problem: Problem) -> str | None:
-    decisive = (term for term in problem.terms if term.decisive)
+    decisive = (term for term in problem.terms if term.decisive and term.units)
     first = min(decisive, key=lambda term: term.level, default=None)
     return None if first is None else first.name

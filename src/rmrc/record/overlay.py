@@ -1,13 +1,14 @@
 """The page of a comparison: its table, and the curves of all runs over one another."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.config.models import Method
 from rmrc.record.channels import positions
 from rmrc.record.page import badge, card, cell, quantity, write_page
 from rmrc.record.plots import SINGULAR_VALUE, line_panel, mark, page_data
@@ -17,9 +18,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Style = dict[str, Any]
-"""`series`, the number of the colour, and `dash`."""
+"""`series`, the number of the colour, `dash`, `width` and `layer`."""
 
+SERIES = {method: number for number, method in enumerate(get_args(Method))}
+"""The number of each method's colour, the same in every comparison."""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+FAINT = 1e-8
+"""Less than this share of its greatest value is noise in a curve."""
 WIDEST, THINNEST = 3.4, 1.2
 """Widths of the curves in pixels, from the lowest to the one on top."""
 ALWAYS_SHOWN = ("position", "velocity")
@@ -42,14 +47,19 @@ def table(summary: dict[str, Any], whole: bool = True) -> tuple[list[str], list[
 
     Args:
         summary: The comparison's.
-        whole: Whether to have what the methods leave out too; a terminal is narrow.
+        whole: Whether to have the columns too that a narrow terminal has no room for.
     """
     runs = summary["runs"]
-    columns = _columns(runs[0]) | _limit_columns(runs)
-    columns |= {
-        "least σ_min": lambda run: _number(run["sigma_min"], "value", digits=2),
+    more: Columns = {
+        "solves": lambda run: _number(run, "solves"),
+        "leaves out": _left_out,
+    }
+    columns = {
+        **_columns(runs[0]),
+        **_limit_columns(runs),
+        "least σ_min": lambda run: _number(run["sigma_min"], "value"),
         "step [µs]": lambda run: _number(run["step_time_us"], "median"),
-        **({"leaves out": _left_out} if whole else {}),
+        **(more if whole else {}),
         "statuses": lambda run: Cell(", ".join(f"{k} {v}" for k, v in run["status"].items())),
     }
     return list(columns), [[column(run) for column in columns.values()] for run in runs]
@@ -61,10 +71,10 @@ def _columns(first: dict[str, Any]) -> Columns:
     unit, scale = ("mm", 1e3) if error == "m" else (error, 1.0)
     return {
         "method": _name,
-        f"error rms [{unit}]": lambda run: _number(run["error"], "rms", scale),
-        f"error max [{unit}]": lambda run: _number(run["error"], "max", scale),
-        "off line [mm]": lambda run: _number(run["line"], "max", 1e3),
-        f"largest rate [{rate}]": lambda run: _number(run["largest_rate"], "value"),
+        _head("error rms", unit): lambda run: _number(run["error"], "rms", scale),
+        _head("error max", unit): lambda run: _number(run["error"], "max", scale),
+        _head("off line", unit): lambda run: _number(run["line"], "max", scale),
+        _head("largest rate", rate): lambda run: _number(run["largest_rate"], "value"),
     }
 
 
@@ -75,20 +85,26 @@ def _limit_columns(runs: Sequence[dict[str, Any]]) -> Columns:
         passed = [run["limits"][kind] for run in runs if run["limits"][kind]["max_violation"]]
         units = {limit["unit"] for limit in passed}
         if passed or kind in ALWAYS_SHOWN:
-            head = f"past {kind}" + (f" [{units.pop()}]" if len(units) == 1 else "")
-            columns[head] = lambda run, kind=kind, units=units: _excess(run["limits"][kind], units)
+            unit = units.pop() if len(units) == 1 else None
+            columns[_head(f"past {kind}", unit)] = lambda run, kind=kind, with_unit=unit is None: (
+                _excess(run["limits"][kind], with_unit)
+            )
     return columns
+
+
+def _head(text: str, unit: str | None) -> str:
+    return f"{text} [{unit}]" if unit else text
 
 
 def _name(run: dict[str, Any]) -> Cell:
     return Cell(run["name"]) if run["finished"] else Cell(f"{run['name']} (unfinished)", bad=True)
 
 
-def _excess(limit: dict[str, Any], units: Collection[str]) -> Cell:
-    """Return the excess over a limit and its joint, with its unit where there are several."""
+def _excess(limit: dict[str, Any], with_unit: bool) -> Cell:
+    """Return the excess over a limit and its joint."""
     if not limit["max_violation"]:
         return Cell("none")
-    unit = f" {limit['unit']}" if units else ""
+    unit = f" {limit['unit']}" if with_unit else ""
     return Cell(f"{_number(limit, 'max_violation').text}{unit} {limit['joint']}", bad=True)
 
 
@@ -97,13 +113,15 @@ def _left_out(run: dict[str, Any]) -> Cell:
     return Cell(", ".join([*limits, *run["ignored_tasks"]]) or "–")
 
 
-def _number(numbers: dict[str, Any] | None, key: str, scale: float = 1.0, digits: int = 3) -> Cell:
-    """Return a number, without an exponent up to a million."""
+def _number(numbers: dict[str, Any] | None, key: str, scale: float = 1.0) -> Cell:
+    """Return a number with three digits; with one, or with all before the point, to be short."""
     value = numbers[key] if numbers else None
     if value is None:
         return Cell("–")
     value *= scale
-    return Cell(f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.{digits}g}")
+    if 1e3 <= value < 1e6:
+        return Cell(f"{value:.0f}")
+    return Cell(f"{value:.{3 if value >= 0.01 else 1}g}")
 
 
 def write_overlay(comparison: "Comparison", path: str | Path) -> None:
@@ -123,18 +141,13 @@ def write_overlay(comparison: "Comparison", path: str | Path) -> None:
         for entry, row in zip(entries, rows, strict=True)
     ]
     time = max((entry.run.time for entry in entries), key=len)
-    panels = [
-        line_panel(
-            time,
-            shown.title,
-            shown.unit,
-            {entry.name: shown.curve(entry) for entry in entries},
-            shown.marks,
-            shown.log,
-            styles,
+    panels = []
+    for shown in _quantities(entries):
+        curves = {entry.name: shown.curve(entry) for entry in entries}
+        layered = {name: styles[name] | _layer(curve) for name, curve in curves.items()}
+        panels.append(
+            line_panel(time, shown.title, shown.unit, curves, shown.marks, shown.log, layered)
         )
-        for shown in _quantities(entries)
-    ]
     write_page(
         path,
         comparison.manifest,
@@ -148,22 +161,34 @@ def write_overlay(comparison: "Comparison", path: str | Path) -> None:
 
 
 def _styles(entries: Sequence["Entry"]) -> dict[str, Style]:
-    """Return the styles of curves by name: a colour for each method where there are several.
+    """Return the styles of curves by name: the method's colour, or each its own if there is one.
 
     Each is thinner than the one below it, so that curves that coincide are all seen.
     """
-    methods = list(dict.fromkeys(entry.run.summary["method"] for entry in entries))
-    styles, seen = {}, dict.fromkeys(methods, 0)
-    for number, entry in enumerate(entries):
-        method = entry.run.summary["method"]
-        several = len(methods) > 1
+    methods = [entry.run.summary["method"] for entry in entries]
+    several = len(set(methods)) > 1
+    styles = {}
+    for number, (entry, method) in enumerate(zip(entries, methods, strict=True)):
+        before = methods[:number].count(method)
         styles[entry.name] = {
-            "series": methods.index(method) if several else number,
-            "dash": DASHES[seen[method] % len(DASHES)] if several else DASHES[0],
+            "series": SERIES[method] if several else number,
+            "dash": DASHES[before % len(DASHES)] if several else DASHES[0],
             "width": round(WIDEST - (WIDEST - THINNEST) * number / len(entries), 2),
         }
-        seen[method] += 1
     return styles
+
+
+def _layer(curve: Array) -> Style:
+    """Return the style of a curve that zigzags, as gradient methods do: thin, below the others.
+
+    Every fifth of its points or more is a turn between two jumps of a tenth of its value.
+    """
+    steps, later = np.diff(curve), curve[1:]
+    jumps = np.sign(steps)
+    jumps[np.abs(steps) < 0.1 * later] = 0.0
+    jumps[later < FAINT * np.fmax.reduce(curve, initial=0.0)] = 0.0
+    turns = np.count_nonzero(jumps[1:] * jumps[:-1] < 0.0)
+    return {"layer": -1, "width": THINNEST} if turns > 0.2 * len(curve) else {}
 
 
 def _legend(name: str, text: str, style: Style) -> str:
@@ -202,17 +227,15 @@ def _quantities(entries: Sequence["Entry"]) -> Iterator[_Quantity]:
     task, tasks, unit = first.task, first.run.manifest["tasks"], first.rates[0].unit
     if task is not None:
         yield from _errors(task, tasks[task]["units"])
-    if first.deviation is not None:
-        yield _Quantity("Distance from the line", "m", lambda entry: entry.deviation[:, 0])
-        yield _Quantity("Angle off the line's", "rad", lambda entry: entry.deviation[:, 1])
+        yield from _deviations(first, tasks[task]["units"])
+    for name in tasks:
+        if name != task:
+            yield from _errors(name, tasks[name]["units"])
     yield _Quantity("Largest joint rate", unit, _largest_rate, marks=_cap(first))
     yield _Quantity("Norm of the joint rates", unit, _rate_norm)
     yield _Quantity(SINGULAR_VALUE, "", lambda entry: entry.run.sigma_min, log=False)
     if any(_outside(entry).any() for entry in entries):
         yield _Quantity("Outside the joint range", unit.removesuffix("/s"), _outside, log=False)
-    for name in tasks:
-        if name != task:
-            yield from _errors(name, tasks[name]["units"])
 
 
 def _errors(task: str, units: Sequence[str]) -> Iterator[_Quantity]:
@@ -220,6 +243,13 @@ def _errors(task: str, units: Sequence[str]) -> Iterator[_Quantity]:
         yield _Quantity(
             f"Error of {task}", unit, lambda entry, k=column: entry.run.error[task][:, k]
         )
+
+
+def _deviations(first: "Entry", units: Sequence[str]) -> Iterator[_Quantity]:
+    halves = (("m", "Distance from the line"), ("rad", "Angle from the line's orientation"))
+    for column, (unit, title) in enumerate(halves):
+        if first.deviation is not None and unit in units:
+            yield _Quantity(title, unit, lambda entry, k=column: entry.deviation[:, k])
 
 
 def _rates(entry: "Entry") -> Array:
@@ -236,10 +266,9 @@ def _rate_norm(entry: "Entry") -> Array:
 
 
 def _cap(entry: "Entry") -> list[dict[str, Any]]:
-    """Return the mark of the velocity limit, where it is the same for all joints."""
-    caps = {channel.upper for channel in entry.rates}
-    finite = len(caps) == 1 and np.isfinite(min(caps))
-    return [mark("limit", min(caps), entry.rates[0].unit)] if finite else []
+    """Return the mark of the velocity limit, where all joints that have one have the same."""
+    caps = {channel.upper for channel in entry.rates if channel.bounded}
+    return [mark("limit", cap, entry.rates[0].unit) for cap in caps if len(caps) == 1]
 
 
 def _outside(entry: "Entry") -> Array:

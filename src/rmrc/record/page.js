@@ -71,6 +71,7 @@ function lines(panel, theme) {
   return {
     traces: shown.map((trace) => ({
       type: "scatter", mode: "lines", x: trace.x, y: trace.y, name: plain(trace.name),
+      zorder: trace.layer ?? 0,
       line: { width: trace.width ?? 1.5, color: trace.colour(theme), dash: trace.dash },
       hovertemplate: `%{y:.4g} ${panel.unit}`,
     })),

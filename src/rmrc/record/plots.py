@@ -133,8 +133,8 @@ def line_panel(
         curves: The values (M,) by name, M ≤ N: the curve of a run that ended early is shorter.
         marks: Horizontal lines, as `mark` gives them.
         log: Whether the axis is logarithmic at first.
-        styles: `series`, the number of the colour, `dash` and `width`, by the names of curves; by
-            default each has a colour of its own.
+        styles: `series`, the number of the colour, `dash`, `width` and `layer`, by the names of
+            curves; by default each has a colour of its own.
     """
     if not any(np.isfinite(curve).any() for curve in curves.values()):
         return None

@@ -1,0 +1,224 @@
+"""`rmrc compare`: its JSON, its page, its exit codes, and what the shipped comparisons show."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from models import REPOSITORY
+from pages import Page, assert_self_contained
+
+CONFIGS = REPOSITORY / "configs"
+# What blows up does so by far more than this over what is damped or limited.
+BLOWN_UP = 10.0
+# The backends solve the same programs to 1e-6 of their gradient; a run of them drifts no further.
+SAME_RUN = 1e-3
+# How far off the line a hand is that stays on it, and one that is led through the joints, m.
+ON_THE_LINE, OFF_THE_LINE = 1e-4, 1e-2
+
+
+def rmrc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "rmrc", "compare", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+        timeout=120,
+    )
+    assert "Traceback" not in done.stderr + done.stdout
+    return done
+
+
+def compared(name: str, folder: Path, *arguments: object) -> dict[str, Any]:
+    """Return the JSON of a comparison that went well, its folder as it is given."""
+    done = rmrc(CONFIGS / f"{name}.yaml", "--json", *arguments, cwd=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    return json.loads(done.stdout, parse_constant=pytest.fail)
+
+
+def by_name(numbers: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {run["name"]: run for run in numbers["runs"]}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("comparisons")
+
+
+@pytest.fixture(scope="module")
+def singular(folder: Path) -> dict[str, Any]:
+    return compared("compare_singular", folder, "--methods", "qp, dls,pinv,inverse,weighted")
+
+
+@pytest.fixture(scope="module")
+def limits(folder: Path) -> dict[str, Any]:
+    return compared("compare_limits", folder, "--methods", "qp,pinv,saturated")
+
+
+def test_the_json_has_a_row_for_each_run_and_a_reason_for_the_others(
+    singular: dict[str, Any],
+) -> None:
+    assert set(singular) == {"comparison", "task", "runs", "left_out", "interrupted"}
+    assert singular["task"] == "hand"
+    assert singular["interrupted"] is False
+    assert list(by_name(singular)) == ["qp daqp", "qp proxqp", "qp osqp", "dls", "pinv", "inverse"]
+    assert [each["name"] for each in singular["left_out"]] == ["weighted"]
+    assert "metric" in singular["left_out"][0]["reason"]
+    for run in singular["runs"]:
+        assert run["finished"]
+        assert run["steps"] == run["solves"] == sum(run["status"].values()) == 3001
+        assert (run["backend"] is None) == (run["method"] != "qp")
+        assert run["follow"] == "rate"
+        assert 0.0 < run["error"]["rms"] < run["error"]["max"]
+        assert (run["error"]["unit"], run["error"]["orientation"]["unit"]) == ("m", "rad")
+        assert run["line"] is None  # waypoints are not a line
+        assert run["largest_rate"]["unit"] == "rad/s"
+        assert run["largest_rate"]["joint"] in {"joint1", "joint2", "joint3"}
+        assert 0.0 <= run["sigma_min"]["value"] < 0.01
+        assert 1.5 < run["sigma_min"]["time"] < 3.5
+        assert run["step_time_us"]["median"] > 0.0
+        assert run["ignored_tasks"] == []
+
+
+def test_the_folder_holds_the_same_numbers_and_a_page_that_needs_no_network(
+    singular: dict[str, Any], folder: Path
+) -> None:
+    path = folder / singular["comparison"]
+    assert singular["comparison"] == str(Path("comparisons") / "compare_singular-0001")
+    assert {each.name for each in path.iterdir()} == {"compare.json", "compare.html"}
+    kept = json.loads((path / "compare.json").read_text(encoding="utf-8"))
+    assert {"comparison": singular["comparison"], **kept["summary"]} == singular
+    assert kept["config"]["damping"] == {"lambda": 0.05}
+    assert kept["versions"]["rmrc"]
+    page = Page((path / "compare.html").read_text(encoding="utf-8"))
+    assert_self_contained(page)
+    for shown in ("qp osqp", "pinv", "LIMITED", "joint2"):
+        assert shown in page.texts["td"]
+    assert "weighted is left out" in page.texts["li"]
+
+
+def test_at_a_singularity_what_inverts_blows_up_and_what_is_damped_does_not(
+    singular: dict[str, Any],
+) -> None:
+    runs = by_name(singular)
+    rate = {name: run["largest_rate"]["value"] for name, run in runs.items()}
+    for name in ("pinv", "inverse"):
+        assert rate[name] > BLOWN_UP * rate["dls"]
+        assert rate[name] > BLOWN_UP * rate["qp daqp"]
+        assert runs[name]["limits"]["velocity"]["max_violation"] > BLOWN_UP
+        assert runs[name]["limits"]["velocity"]["joint"] is not None
+    for name in ("qp daqp", "qp proxqp", "qp osqp"):
+        assert runs[name]["limits"]["velocity"]["max_violation"] == 0.0
+        assert runs[name]["error"]["max"] < runs["pinv"]["error"]["max"] / BLOWN_UP
+
+
+def test_where_the_line_leaves_the_joint_range_closed_forms_leave_it_too(
+    limits: dict[str, Any],
+) -> None:
+    runs = by_name(limits)
+    for name in ("qp daqp", "qp proxqp", "qp osqp", "saturated"):
+        assert runs[name]["keeps_limits"]
+        assert runs[name]["limits"]["position"]["max_violation"] == 0.0
+        assert runs[name]["limits"]["velocity"]["max_violation"] == 0.0
+    assert not runs["pinv"]["keeps_limits"]
+    assert runs["pinv"]["limits"]["position"]["max_violation"] > 0.1
+    assert runs["pinv"]["limits"]["position"]["joint"] == "joint4"
+    assert runs["pinv"]["error"]["max"] < ON_THE_LINE < runs["qp daqp"]["error"]["max"]
+    assert runs["qp daqp"]["error"]["rms"] < runs["saturated"]["error"]["rms"]
+
+
+def test_the_backends_make_the_same_of_it(limits: dict[str, Any]) -> None:
+    runs = by_name(limits)
+    for backend in ("proxqp", "osqp"):
+        for key in ("rms", "max"):
+            expected = pytest.approx(runs["qp daqp"]["error"][key], rel=SAME_RUN)
+            assert runs[f"qp {backend}"]["error"][key] == expected
+
+
+def test_the_three_ways_of_following_a_line(folder: Path) -> None:
+    arguments = ("--methods", "qp", "--backends", "daqp", "--follow", "rate,waypoints,joint")
+    runs = by_name(compared("compare_line", folder, *arguments))
+    assert list(runs) == ["qp rate", "qp waypoints", "qp joint"]
+    assert runs["qp rate"]["line"]["max"] < ON_THE_LINE
+    assert runs["qp waypoints"]["line"]["max"] < ON_THE_LINE
+    assert runs["qp joint"]["line"]["max"] > OFF_THE_LINE
+    assert runs["qp joint"]["solves"] < runs["qp rate"]["solves"] < runs["qp waypoints"]["solves"]
+
+
+def test_the_null_space_keeps_off_the_pillar_and_near_the_middle() -> None:
+    from rmrc import compare, load
+
+    config = load(CONFIGS / "compare_redundant.yaml")
+    comparison = compare(config, ["qp", "nullspace", "pinv"], ["daqp"])
+    entries = {entry.name: entry for entry in comparison.entries}
+    assert entries["pinv"].ignored_tasks == ("clearance", "centering")
+    distance = {name: least_distance(entry.run.q) for name, entry in entries.items()}
+    centering = {n: e.run.summary["tasks"]["centering"]["final"] for n, e in entries.items()}
+    for name in ("qp", "nullspace"):
+        assert entries[name].ignored_tasks == ()
+        assert entries[name].run.summary["tasks"]["hand"]["max"] < ON_THE_LINE
+        assert distance[name] > 0.04 > 0.02 > distance["pinv"] > 0.0
+        assert centering[name] < 0.75 * centering["pinv"]
+
+
+def least_distance(q: NDArray[np.float64]) -> float:
+    """Return how near the left arm's outer links come to the pillar, m."""
+    model = mujoco.MjModel.from_xml_path(str(REPOSITORY / "scenes" / "dual_arm.xml"))
+    data, pillar = mujoco.MjData(model), model.geom("obstacle_1").id
+    bodies = [model.body(f"left_{name}").id for name in ("link4", "link5", "link6", "gripper")]
+    geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in bodies]
+    least = np.inf
+    for row in q[::25]:
+        data.qpos = row
+        mujoco.mj_kinematics(model, data)
+        for geom in geoms:
+            apart = mujoco.mj_geomDistance(model, data, geom, pillar, 1.0, np.zeros(6))
+            least = min(least, apart)
+    return least
+
+
+def test_by_default_every_method_runs_or_says_why_not(tmp_path: Path) -> None:
+    done = rmrc(CONFIGS / "panda_line.yaml", "--set", "duration=0.02", "--out", "c", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    words = done.stdout.split()
+    for method in ("daqp", "proxqp", "osqp", "transpose", "pinv", "dls", "sdls"):
+        assert method in words
+    for method in ("nullspace", "saturated", "descent"):
+        assert method in words
+    assert "inverse is left out" in done.stdout
+    assert "weighted is left out" in done.stdout
+    assert (tmp_path / "c" / "compare.html").is_file()
+    again = rmrc(CONFIGS / "panda_line.yaml", "--out", "c", cwd=tmp_path)
+    assert again.returncode == 2
+    assert "already holds a comparison" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--methods", "qp,pnv"), "no method named 'pnv'; did you mean 'pinv'?"),
+        (("--backends", "dqap"), "no QP backend named 'dqap'; did you mean 'daqp'?"),
+        (
+            ("--follow", "waypoint"),
+            "no way of following named 'waypoint'; did you mean 'waypoints'",
+        ),
+        (("--methods", "inverse,weighted"), "needs as many task rows as dofs"),
+        (("--methods", "inverse,weighted"), "needs a metric"),
+        (("--set", "duration=never"), "a number is wanted here"),
+        (("--set", "targets.hand={path: file, file: absent.csv}"), "there is no such file"),
+    ],
+)
+def test_wrong_input_is_said_once_and_leaves_nothing(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    done = rmrc(CONFIGS / "compare_limits.yaml", *arguments, "--json", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count(message) == 1
+    assert list(tmp_path.iterdir()) == []
