@@ -76,8 +76,7 @@ def solve(
     import rmrc
     from rmrc.record.run import ensure_free
 
-    if out is not None:
-        ensure_free(out)
+    ensure_free(out or Path("runs/new"))
     loaded = rmrc.load(config, overrides=_overrides(settings))
     run = _solve_with_progress(loaded)
     folder = run.save(out) if out is not None else run.save_numbered("runs")
@@ -143,7 +142,8 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
     for notice in manifest.get("notices", []):
         console.print(f"[dim]note: {escape(notice)}[/]")
     console.print(
-        f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}"
+        f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}",
+        soft_wrap=True,
     )
 
 

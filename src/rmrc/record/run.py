@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -206,11 +207,21 @@ def ensure_free(directory: str | Path, *, overwrite: bool = False) -> None:
         RmrcError: If something is there that would be lost.
     """
     if not os.path.lexists(directory) or _is_empty(Path(directory)):
+        _try_writing(Path(directory).resolve())
         return
     if not is_run_folder(directory):
         raise RmrcError(f"'{directory}' exists and is not a run folder; it stays as it is")
     if not overwrite:
         raise RmrcError(f"'{directory}' already holds a run; name another folder, or remove it")
+
+
+def _try_writing(directory: Path) -> None:
+    """Make and remove a folder where the run will be, so that a run is not lost at its end."""
+    parent = next(folder for folder in directory.parents if os.path.lexists(folder))
+    try:
+        os.rmdir(tempfile.mkdtemp(prefix=".rmrc-", dir=parent))
+    except OSError as mistake:
+        raise RmrcError(f"cannot save a run in '{parent}': {mistake.strerror}") from None
 
 
 def is_run_folder(directory: str | Path) -> bool:
