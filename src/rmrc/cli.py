@@ -82,8 +82,7 @@ def solve(
     import rmrc
     from rmrc.record.run import RUN_FOLDER
 
-    if out is not None:
-        RUN_FOLDER.ensure_free(out)
+    RUN_FOLDER.ensure_free(out or Path("runs/new"))
     loaded = rmrc.load(config, overrides=_overrides(settings))
     with _progress(loaded.name) as progress:
         run = rmrc.solve(loaded, progress)
@@ -150,7 +149,8 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
     for notice in manifest.get("notices", []):
         console.print(f"[dim]note: {escape(notice)}[/]")
     console.print(
-        f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}"
+        f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}",
+        soft_wrap=True,
     )
 
 

@@ -205,13 +205,13 @@ def test_a_mink_task_and_limit_added_from_python_count_as_in_mink() -> None:
     scene = str(REPOSITORY / "scenes" / "panda.xml")
     hand = {"name": "hand", "type": "frame", "frame": {"site": "hand"}, "gain": GAIN / DT}
     posture = mink.PostureTask(mujoco.MjModel.from_xml_path(scene), cost=0.3, gain=GAIN)
+    posture.set_target(mujoco.MjModel.from_xml_path(scene).key_qpos[0])
     limit = mink.VelocityLimit(mujoco.MjModel.from_xml_path(scene), {"joint2": 0.05})
     made = rmrc.compile(
         config(scene, [hand], dt=DT, damping={"lambda": DAMPING**0.5}),
         mink_tasks=[posture],
         mink_limits=[limit],
     )
-    posture.set_target(made.start)
     controller = rmrc.Controller(made)
     controller.set_target("hand", made.term["hand"].target[4:] + [0.1, 0.1, -0.2])
     frame = mink.FrameTask("hand", "site", 1.0, 1.0, gain=GAIN)

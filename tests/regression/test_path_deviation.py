@@ -14,7 +14,7 @@ from robots import (
 
 # Of the ratio of two deviations: their next order is a share of about ½ K dt = 0.01 of the first.
 ORDER = 0.03
-DURATION, LENGTH = 0.5, 0.15
+DURATION, LENGTH = 0.5, 0.1
 
 # What one step leaves the line by, ½ dt² q̇ᵀHq̇, is taken back at the rate K: K dt of it each step.
 WAYS = {
@@ -52,7 +52,7 @@ def test_half_the_step_is_half_the_deviation_and_a_quarter_at_deadbeat(
     folder = tmp_path_factory.getbasetemp()
     if robot == "planar":
         arm = planar_arm(rng.uniform(0.4, 1.0, rng.integers(3, 6)), folder).asking(0, 1)
-        q = rng.uniform(0.4, 1.0, arm.joints)
+        q = rng.uniform(0.7, 1.0, arm.joints)  # bent: the line is within reach
     else:
         arm = random_robot(robot, rng, folder).asking(0, 1, 2)
         q = arm.controller(arm.hand()).problem.start

@@ -76,7 +76,7 @@ def test_a_bad_configuration_brakes_and_leaves_the_controller_as_it_was(bad) -> 
     assert np.array_equal(controller.step().v, twin.step().v)
 
 
-@pytest.mark.parametrize("dt", [0.0, -0.002, np.nan, np.inf, "2 ms", True is None])
+@pytest.mark.parametrize("dt", [0.0, -0.002, np.nan, np.inf, "2 ms", 1e-300, 1e300, 10**400])
 def test_a_bad_dt_brakes(dt) -> None:
     controller = panda()
     controller.set_target("hand", ahead(controller, 0.1, 0.0, 0.0))

@@ -244,7 +244,7 @@ def test_save_never_replaces_what_is_not_a_run(run: Run, tmp_path: Path) -> None
     for name in ("thesis", "file"):
         with pytest.raises(RmrcError, match="is not a run folder"):
             run.save(tmp_path / name, overwrite=True)
-    with pytest.raises(RmrcError, match="cannot save the run"):
+    with pytest.raises(RmrcError, match="cannot save a run"):
         run.save(tmp_path / "file" / "run")
     assert {path.name for path in tmp_path.rglob("*")} == {"thesis", "chapter.tex", "file"}
 

@@ -45,7 +45,7 @@ class SolverModel(Model):
 
     backend: str = "daqp"
     """daqp, proxqp, osqp, or any other solver that qpsolvers offers."""
-    max_iter: Annotated[int, Field(strict=True, ge=1)] | None = None
+    max_iter: Annotated[int, Field(strict=True, ge=1, le=2**31 - 1)] | None = None
     """Most iterations a step may use; by default the backend's own."""
     tolerance: Positive | None = None
     """Tolerance handed to the backend; by default one well inside the certificate's."""

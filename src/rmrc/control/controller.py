@@ -16,11 +16,14 @@ from rmrc.qp.program import Solution, SolveStatus
 
 Array = NDArray[np.float64]
 
+SHORTEST, LONGEST = 1e-9, 1e3
+"""Lengths of a step in s beyond which a clock, not a robot, is at fault."""
 ACTIVE_MULTIPLIER = 1e-7
-"""A limit is active where its multiplier is above this share of the largest of 1 and ‖g‖."""
+"""A limit is active where its multiplier is above this, in the program's unit."""
 
 _LIMITED = 1 << Status.LIMITED
 _SCALED = 1 << Status.SCALED
+_RELAXED = 1 << Status.RELAXED
 _RECOVERING = 1 << Status.RECOVERING
 _MAX_ITER = 1 << Status.MAX_ITER
 _INVALID_INPUT = 1 << Status.INVALID_INPUT
@@ -44,6 +47,8 @@ class Controller:
         self._all = problem.dofs.size == model.nv
         self._configurations = Configurations(model)
         self._targets = Targets(self._evaluation, self._configurations)
+        frozen = problem.box.velocity == 0.0
+        self._frozen = frozen if frozen.any() else None
         self._refused = False
         self._term = dict(problem.term)
         self._q = problem.start.copy()
@@ -112,10 +117,10 @@ class Controller:
             dt: Length of the step, s; by default the problem's.
         """
         valid = self._q if q is None else self._configurations.read(q)
-        if dt is None:
-            dt = self.problem.dt
-        if valid is None or not self._valid_dt(dt):
+        seconds = self.problem.dt if dt is None else self._seconds(dt)
+        if valid is None or seconds is None:
             return self._brake(dt)
+        dt = seconds
         solution = self.engine.solve(valid, self._v, dt)
         return self._carried_out(valid, solution, self._flags(solution), dt)
 
@@ -169,8 +174,13 @@ class Controller:
             flags |= _SCALED
         if self.engine.outside:
             flags |= _RECOVERING
-        z = solution.bound_multiplier
-        if z.dot(z) > ACTIVE_MULTIPLIER**2:
+        if self.engine.relaxed:
+            flags |= _RELAXED
+        z = solution.bound_multiplier if self._frozen is None else solution.bound_multiplier.copy()
+        if self._frozen is not None:
+            z[self._frozen] = 0.0  # a frozen joint is no limit that is in the way
+        y = solution.row_multiplier
+        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2:
             flags |= _LIMITED
         return flags
 
@@ -179,9 +189,8 @@ class Controller:
 
         Nothing of the controller changes but the velocity that it has commanded.
         """
-        seconds = float(dt) if isinstance(dt, (int, float)) and self._valid_dt(dt) else 0.0
-        if not seconds:
-            seconds = self.problem.dt
+        self._refused = False
+        seconds = self._seconds(dt) or self.problem.dt
         change = np.full(self._model.nv, np.inf)
         change[self.problem.dofs] = self.problem.box.acceleration * seconds
         v = self._v - np.clip(self._v, -change, change)
@@ -194,5 +203,10 @@ class Controller:
         error = evaluation.error.copy()
         return Step(v, q, _INVALID_INPUT, Errors(evaluation, error), solution)
 
-    def _valid_dt(self, dt: object) -> bool:
-        return isinstance(dt, (float, int, np.floating)) and 0.0 < float(dt) < np.inf
+    def _seconds(self, dt: object) -> float | None:
+        """Return a length of a step in s, or None if it is none."""
+        try:
+            seconds = float(dt)  # type: ignore[arg-type]
+        except (TypeError, ValueError, OverflowError):
+            return None
+        return seconds if SHORTEST <= seconds <= LONGEST else None

@@ -16,7 +16,10 @@ from rmrc.qp.program import QP, Solution, SolveStatus
 Array = NDArray[np.float64]
 
 CERTIFIED = 1e-6
-"""Largest KKT residual, relative to the largest of 1 and ‖g‖, of a solution that is trusted."""
+"""Largest KKT residual of a solution that is trusted: of limits in rad/s or m/s, of the others
+relative to the largest of 1 and ‖g‖, in the program's unit."""
+SLACK_WEIGHT = 1e6
+"""ρ of the slack's cost ½ρt², beside weights of at most 1."""
 
 
 class PythonEngine:
@@ -35,6 +38,8 @@ class PythonEngine:
         self._ready = False
         self.outside = False
         """Whether a joint was outside its range at the last step."""
+        self.relaxed = False
+        """Whether the rows of the last step contradicted the box and were given slack."""
         self._certificate = Certificate(self.assembly.qp)
         directed = any(term.preserve for term in problem.terms)
         self._cascade = (
@@ -54,11 +59,12 @@ class PythonEngine:
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
 
-        The rungs: the full program; the same from a cold start; the box without the rows; a brake,
-        which is the point of the box nearest to rest.
+        The rungs: the full program; the same from a cold start; slack on the rows; a brake, which
+        is the point of the box nearest to rest.
         """
         assembly = self.assembly
         self.outside = self.prepare(q, v_previous, dt)
+        self.relaxed = False
         if self._cascade is not None:
             return self._descend(self._cascade)
         if self.problem.mink_limits:
@@ -101,24 +107,21 @@ class PythonEngine:
     def _trusted(self, solution: Solution) -> bool:
         if solution.status is not SolveStatus.SOLVED:
             return False
-        g = self.assembly.qp.g
-        largest = max(solution.kkt)
+        primal, dual, complementarity = solution.kkt
+        if primal > CERTIFIED:
+            return False
+        largest, g = max(dual, complementarity), self.assembly.qp.g
         return largest <= CERTIFIED or largest <= CERTIFIED * math.sqrt(g.dot(g))
 
     def _fall_back(self, failed: Solution) -> Solution:
-        """Return a feasible point: the box's optimum where only the rows failed, else a brake."""
+        """Return a feasible point: with slack where the rows contradict the box, else a brake."""
         qp = self.assembly.qp
         if qp.C.shape[0]:
-            box = QP(qp.g.size)
-            box.H[:], box.g[:], box.lb[:], box.ub[:] = qp.H, qp.g, qp.lb, qp.ub
-            solver = create("daqp")
-            solver.setup(box)
-            solution = solver.solve()
-            Certificate(box).certify(solution)
+            solution = self._with_slack(qp)
             if self._trusted(solution):
-                solution.status = SolveStatus.FAILED
+                self.relaxed = True
                 return solution
-        elif failed.status is SolveStatus.MAX_ITER and np.isfinite(failed.v).all():
+        elif failed.status is SolveStatus.MAX_ITER and failed.v.any():
             return failed  # the certificate has clipped it into the box
         failed.v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
         if not np.isfinite(failed.v).all():
@@ -126,6 +129,20 @@ class PythonEngine:
         if failed.status is SolveStatus.SOLVED:
             failed.status = SolveStatus.FAILED
         return failed
+
+    def _with_slack(self, qp: QP) -> Solution:
+        """Return the optimum with one slack t ≥ 0 on all rows, C v ≤ hi + t, at the cost ½ρt²."""
+        n, rows = qp.g.size, qp.hi.size
+        soft = QP(n + 1, rows=rows)
+        soft.H[:n, :n], soft.H[n, n], soft.g[:n] = qp.H, SLACK_WEIGHT, qp.g
+        soft.lb[:n], soft.ub[:n], soft.lb[n] = qp.lb, qp.ub, 0.0
+        soft.C[:, :n], soft.C[:, n], soft.hi[:] = qp.C, -1.0, qp.hi
+        solver = create("daqp")
+        solver.setup(soft)
+        solution = solver.solve()
+        Certificate(soft).certify(solution)
+        solution.v, solution.bound_multiplier = solution.v[:n], solution.bound_multiplier[:n]
+        return solution
 
     def _set_rows(self, dt: float) -> None:
         """Take over the rows of mink's limits; their number may change from step to step."""

@@ -50,6 +50,7 @@ class WaypointFollower:
     def __init__(self, controller: Controller, aims: Sequence[Aim]):
         self._controller, self._aims, self.solves = controller, aims, 0
         self._reacher = Reacher(controller.problem)
+        self._set_points = _SetPoints(controller)
 
     def step(self, now: float, q: Array | None) -> Step:
         """Solve the next pose and command the difference."""
@@ -58,10 +59,9 @@ class WaypointFollower:
         for aim in self._aims:
             aim.sample(now + self._controller.problem.dt)
             aim.set_on(self._reacher.controller, moving=False)
-        here = self._controller.q if q is None else q
-        reached = self._reacher.solve(here)
+        reached = self._reacher.solve(self._set_points.q)
         self.solves += reached.iterations
-        return self._controller.command(_difference(self._controller, here, reached.q), q)
+        return self._set_points.move_to(reached.q, q)
 
 
 class JointFollower:
@@ -89,6 +89,7 @@ class JointFollower:
             ends.append(q)
         self._begin = ends[0]
         self._tangent = _difference(controller, ends[0], ends[1], 1.0)
+        self._set_points = _SetPoints(controller)
 
     @staticmethod
     def _timed(problem: Problem) -> TimedPath:
@@ -110,12 +111,27 @@ class JointFollower:
         share, _ = self._profile.at(min(max(later, 0.0), 1.0))
         wanted = self._begin.copy()
         mujoco.mj_integratePos(controller.problem.model, wanted, self._tangent, share)
-        here = controller.q if q is None else q
-        return controller.command(_difference(controller, here, wanted), q)
+        return self._set_points.move_to(wanted, q)
 
 
 FOLLOWERS = {"rate": RateFollower, "waypoints": WaypointFollower, "joint": JointFollower}
 """The class of each way of following."""
+
+
+class _SetPoints:
+    """Configurations commanded one after another, whatever is measured, as drives expect them."""
+
+    def __init__(self, controller: Controller):
+        self._controller = controller
+        self.q = controller.problem.start.copy()
+        """The last set point (nq,)."""
+
+    def move_to(self, wanted: Array, measured: Array | None) -> Step:
+        """Command the difference from the last set point, inside the box."""
+        controller = self._controller
+        step = controller.command(_difference(controller, self.q, wanted), measured)
+        mujoco.mj_integratePos(controller.problem.model, self.q, step.v, controller.problem.dt)
+        return step
 
 
 def _difference(controller: Controller, a: Array, b: Array, dt: float | None = None) -> Array:

@@ -55,7 +55,7 @@ class Configurations:
         """Return q as a new array (nq,) with unit quaternions, or None if it is not valid."""
         try:
             array = np.array(q)
-        except ValueError:
+        except (TypeError, ValueError, OverflowError):
             return None
         if array.dtype.kind not in "fiu" or array.shape != (self.size,):
             return None
@@ -108,7 +108,12 @@ class Targets:
                     name, axis / length, velocity, slice(3, 6)
                 )
             return False
-        except (TypeError, ValueError, StructError):  # not numbers, or of another shape
+        except (
+            TypeError,
+            ValueError,
+            OverflowError,
+            StructError,
+        ):  # not numbers, or of another shape
             return False
 
     def _write(

@@ -125,7 +125,7 @@ class ClosedFormEngine:
     """Turns q, v_prev, the targets and dt into the v of a closed form."""
 
     name = "python"
-    scaled = False
+    scaled = relaxed = False
 
     def __init__(self, problem: Problem):
         self.problem = problem

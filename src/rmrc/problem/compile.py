@@ -89,6 +89,9 @@ class _Compiler:
         model = self._try(("scene",), lambda: load_model(config.scene, config.root))
         self._stop_on_mistakes()
         assert model is not None
+        if not model.nv:
+            self._mistakes.append(Mistake(("scene",), "this model has no joints: nothing can move"))
+            self._stop_on_mistakes()
         if config.duration > MOST_STEPS * config.dt:
             self._mistakes.append(
                 Mistake(
@@ -102,7 +105,16 @@ class _Compiler:
         dofs = self._try(("dofs",), lambda: _dofs(model, config.dofs))
         metric = self._try(("metric",), lambda: _metric(model, config))
         box, notices = self._box(model, config.limits, terms)
-        self._try(("solver", "backend"), lambda: create(config.solver.backend))
+        solver = config.solver
+        self._try(
+            ("solver", "backend"),
+            lambda: create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance),
+        )
+        for task in mink_tasks:
+            self._try((), lambda task=task: _evaluated(task, model, start))
+        configuration = mink.Configuration(model, start)
+        for limit in mink_limits:
+            self._try((), lambda limit=limit: limit.compute_qp_inequalities(configuration, 1.0))
         if mink_limits and (config.priority == "strict" or any(t.preserve for t in terms)):
             self._mistakes.append(
                 Mistake(("priority",), "limits of mink's are rows, which strict levels do not take")
@@ -117,6 +129,11 @@ class _Compiler:
         )
         if not config.damping.lambda_ and not metric.any() and not inertia:
             notices.append("λ is 0 and there is no metric: near a singularity rates are unbounded")
+        if "damping" not in config.model_fields_set:
+            notices.append(f"the damping is the default, λ = {config.damping.lambda_:g}")
+        for equality in range(model.neq):
+            name = model.equality(equality).name or f"equality {equality}"
+            notices.append(f"the model's equality constraint '{name}' is not held")
         return Problem(
             config=config,
             model=model,
@@ -184,6 +201,8 @@ class _Compiler:
         unlimited = []
         for joint in range(model.njnt):
             kind = joint_type(model, joint)
+            if kind == _BALL and model.jnt_limited[joint]:
+                notices.append(f"the range of ball joint '{model.joint(joint).name}' is not held")
             if kind in (_FREE, _BALL):
                 continue
             if not model.jnt_limited[joint]:
@@ -201,6 +220,8 @@ class _Compiler:
                 )
             dof = model.jnt_dofadr[joint]
             lower[dof], upper[dof] = low + margin, high - margin
+        if "position" not in limits.model_fields_set:
+            notices.append("position limits are on by default, from the model's ranges")
         if unlimited:
             notices.append(f"the model gives no range for: {_listed(model, unlimited)}")
         return lower, upper
@@ -223,6 +244,17 @@ class _Compiler:
                 )
             values[dofs] = value
         return values
+
+
+def _evaluated(task: BaseTask, model: mujoco.MjModel, start: Array) -> None:
+    """Evaluate a task of mink's once, so that what it lacks is said here and not in the loop."""
+    configuration = mink.Configuration(model, start)
+    mujoco.mj_tendon(model, configuration.data)
+    configuration.update(start)
+    try:
+        task.compute_qp_objective(configuration)
+    except Exception as failure:  # mink's own errors, and those of a user's task
+        raise ValueError(f"mink's {type(task).__name__} cannot be evaluated: {failure}") from None
 
 
 def start_configuration(model: mujoco.MjModel, config: Config) -> Array:

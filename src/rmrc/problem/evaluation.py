@@ -67,7 +67,8 @@ class Evaluation:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         if self._mink and self.model.neq:
-            # Tasks of mink's on the model's equalities read the rows that this fills.
+            # Tasks of mink's on the model's equalities read the rows that these fill.
+            mujoco.mj_tendon(self.model, self.data)
             mujoco.mj_makeConstraint(self.model, self.data)
 
     def move(self, q: Array, dofs: NDArray[np.intp], step: Array) -> None:

@@ -35,11 +35,17 @@ def _compiled(path: Path, modified: int) -> mujoco.MjModel:
         raise ModelError(f"scene '{path.name}' does not compile: {reason}") from None
 
 
+LARGEST_SCENE = 10_000_000
+"""Bytes of a scene file; meshes are files of their own. MuJoCo takes minutes for a larger one."""
+
+
 def _file_path(scene: str, root: Path) -> Path:
     path = (root / scene).resolve() if scene else root
     if not path.is_file():
         nearby = sorted(p.name for p in path.parent.glob("*.xml")) if path.parent.is_dir() else []
         raise ModelError(f"there is no scene file '{scene}'{instead(path.name, nearby)}")
+    if path.stat().st_size > LARGEST_SCENE:
+        raise ModelError(f"scene '{scene}' is larger than {LARGEST_SCENE // 10**6} MB")
     return path
 
 

@@ -1,5 +1,7 @@
 """The quadratic program of a step, assembled in place."""
 
+import math
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,7 @@ LEAST_DAMPING = 1e-12
 class Assembly:
     """Writes a problem's program into a `QP` at every step.
 
-    min_v Σ ½ (J v − ẋ)ᵀ B (J v − ẋ) + ½ vᵀ A v + ½ λ² ‖v‖², with ẋ = K e + ẋ_ff, so that
+    min_v Σ ½ (J v − ẋ)ᵀ B (J v − ẋ) + ½ vᵀ A v + ½ λ² ‖v‖², with ẋ = K clamp(e) + ẋ_ff, so that
     H = Σ JᵀBJ + A + λ²I and g = −Σ JᵀB ẋ. The terms with rows go in as W = S J with B = SᵀS, one
     product WᵀW for all of them; those on the joints themselves add their B as it is.
     """
@@ -41,6 +43,8 @@ class Assembly:
         self.qp = QP(problem.dofs.size, rows=0)
         self.box = BoxLimit(problem.box)
         rows = evaluation.row_count
+        self.unit = self._unit()
+        """What the whole cost is multiplied by, so that its largest weight is 1."""
         self._gain = np.concatenate([np.full(t.rows, t.gain) for t in evaluation.terms] or [[]])
         self._gain_dt = 0.0
         self._capped = self._gain.copy()
@@ -48,6 +52,15 @@ class Assembly:
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
         self._row_rate = self.rate[:rows]
         self._fed = any(term.joint and not term.gain for term in evaluation.terms)
+        self._clamps = [
+            (
+                evaluation.error_of(evaluation.error, term)[part],
+                evaluation.error_of(self.rate, term)[part],
+                longest,
+            )
+            for term in evaluation.terms
+            for part, longest in term.clamps
+        ]
         scale, self._roots = self._row_weights()
         self._minus_scale = -scale
         # Of J's own shape: multiplying takes a third of the time that it takes with a column.
@@ -71,9 +84,24 @@ class Assembly:
         self._inertia = np.empty((problem.model.nv, problem.model.nv))
         self._gradient = np.empty(problem.model.nv)
 
+    def _unit(self) -> float:
+        """Return the inverse of the largest weight.
+
+        A cost times a constant has the same optimum, but tolerances on multipliers and residuals
+        mean something only where the numbers are of the order of 1.
+        """
+        problem = self._problem
+        weights = [problem.damping**2, *np.diagonal(problem.metric)]
+        weights += [problem.inertia * problem.model.dof_M0.max()]
+        for term in self._evaluation.terms:
+            diagonal = term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
+            weights.append(diagonal.max() * problem.soft_ratio**term.level)
+        largest = float(max(weights))
+        return 1.0 / largest if largest > 0.0 else 1.0
+
     def _leveled(self, term: Term) -> Array:
-        """Return B, multiplied by `soft_ratio` once for each level above the term's."""
-        return term.weight * self._problem.soft_ratio**term.level
+        """Return B in the program's unit, times `soft_ratio` for each level above the term's."""
+        return term.weight * (self.unit * self._problem.soft_ratio**term.level)
 
     def _diagonal(self, term: Term) -> Array:
         weight = self._leveled(term)
@@ -96,7 +124,7 @@ class Assembly:
     def _constant_hessian(self) -> Array:
         """Return A + λ²I + Σ B of the joint terms (n, n), what no configuration changes."""
         problem = self._problem
-        full = problem.metric + problem.damping**2 * np.eye(problem.model.nv)
+        full = self.unit * (problem.metric + problem.damping**2 * np.eye(problem.model.nv))
         full += np.diag(self._joint_weights.sum(axis=0)) if len(self._joint_weights) else 0.0
         for _, matrix in self._joint_matrices:
             full += matrix
@@ -119,9 +147,13 @@ class Assembly:
             np.minimum(self._gain, 1.0 / dt, out=self._capped)
             self._gain_dt = dt
         weighted, unwanted = self._weighted, self._unwanted
-        np.multiply(self._capped, evaluation.error, out=self.rate)
+        np.multiply(self._capped, evaluation.error, out=self.rate)  # K e
+        for error, rate, longest in self._clamps:
+            length = math.sqrt(error.dot(error))
+            if length > longest:
+                rate *= longest / length
         if self._fed or evaluation.moving:
-            self.rate += evaluation.feedforward  # ẋ = K e + ẋ_ff
+            self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
         np.multiply(self._scale, evaluation.jacobian, out=weighted)  # W = S J
         np.multiply(self._minus_scale, self._row_rate, out=unwanted)  # −S ẋ
         for part, root in self._roots:
@@ -153,7 +185,7 @@ class Assembly:
         mujoco.mj_makeM(evaluation.model, evaluation.data)
         mujoco.mj_fullM(evaluation.model, evaluation.data, self._inertia)
         matrix = self._inertia if self._all else self._inertia[np.ix_(self._dofs, self._dofs)]
-        self.qp.H += self._problem.inertia * matrix
+        self.qp.H += self.unit * self._problem.inertia * matrix
 
     def _add_mink_tasks(self, dt: float) -> None:
         """Add mink's tasks, whose variable is Δq = v dt: divided by dt², W Δq ≈ r is W v ≈ r/dt."""
@@ -163,13 +195,13 @@ class Assembly:
             residual = task.compute_qp_residual(configuration)
             if residual is None:
                 objective = task.compute_qp_objective(configuration)
-                qp.H += objective.H[np.ix_(dofs, dofs)]
-                qp.g += objective.c[dofs] / dt
+                qp.H += self.unit * objective.H[np.ix_(dofs, dofs)]
+                qp.g += self.unit * objective.c[dofs] / dt
                 continue
             columns = residual[0][:, dofs]
-            qp.H += columns.T @ columns
-            qp.H.flat[:: dofs.size + 1] += residual[2]
-            qp.g -= residual[1] @ columns / dt
+            qp.H += self.unit * columns.T @ columns
+            qp.H.flat[:: dofs.size + 1] += self.unit * residual[2]
+            qp.g -= self.unit * residual[1] @ columns / dt
 
     def levels(self) -> list[Level]:
         """Return what each level asks for at the present assembly, the highest first.
@@ -177,8 +209,12 @@ class Assembly:
         Last comes what picks among equal motions: A, or the least norm.
         """
         n = self._dofs.size
-        damping = max(self._problem.damping**2, LEAST_DAMPING) * np.eye(n)
-        metric = self.metric + damping if self.metric.any() else np.eye(n)
+        damping = max(self.unit * self._problem.damping**2, LEAST_DAMPING) * np.eye(n)
+        metric = self.unit * self.metric
+        if self._problem.inertia:
+            inertia = self._inertia[np.ix_(self._dofs, self._dofs)]
+            metric = metric + self.unit * self._problem.inertia * inertia
+        metric = metric + damping if metric.any() else np.eye(n)
         return [
             *(self._level(level, damping) for level in self._leveled_terms),
             Level(np.zeros((0, n)), np.zeros(0), metric),
@@ -189,7 +225,7 @@ class Assembly:
         for term in terms:
             part = self._evaluation.rows_of([term])
             if term.joint:
-                root = square_root(term.weight)
+                root = square_root(self._leveled(term))
                 root = np.diag(root) if root.ndim == 1 else root
                 root = root[np.any(root != 0.0, axis=1)]
                 rows.append(root[:, self._dofs])
@@ -216,7 +252,8 @@ class Assembly:
         rows = self._weighted[np.any(self._weighted != 0.0, axis=1)]
         if not rows.size:
             return np.nan
-        return float(np.linalg.svd(rows[:, self._dofs], compute_uv=False)[-1])
+        least = float(np.linalg.svd(rows[:, self._dofs], compute_uv=False)[-1])
+        return least / math.sqrt(self.unit)
 
     def resize(self, rows: int) -> None:
         """Give the program another number of rows; the next solve must set its backend up anew."""

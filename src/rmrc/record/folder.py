@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ class FolderKind:
             RmrcError: If something is there that would be lost.
         """
         if not os.path.lexists(directory) or _is_empty(Path(directory)):
+            self._try_writing(Path(directory).resolve())
             return
         if not self.holds(directory):
             raise RmrcError(
@@ -49,6 +51,15 @@ class FolderKind:
             raise RmrcError(
                 f"'{directory}' already holds a {self.name}; name another folder, or remove it"
             )
+
+    def _try_writing(self, directory: Path) -> None:
+        """Make and remove a folder beside `directory`, so that work is not lost at its end."""
+        parent = next(folder for folder in directory.parents if os.path.lexists(folder))
+        try:
+            os.rmdir(tempfile.mkdtemp(prefix=".rmrc-", dir=parent))
+        except OSError as mistake:
+            reason = mistake.strerror
+            raise RmrcError(f"cannot save a {self.name} in '{parent}': {reason}") from None
 
     def save(self, directory: str | Path, write: Write, *, overwrite: bool = False) -> Path:
         """Write exactly the folder `directory`, which is whole afterwards or as it was.

@@ -98,6 +98,11 @@ class Term:
     """Whether the error must be within tolerance for a run to have converged."""
 
     @property
+    def clamps(self) -> tuple[tuple[slice, float], ...]:
+        """Parts of the rows, and the largest error that each acts on; e itself stays true."""
+        return ()
+
+    @property
     def units(self) -> tuple[str, ...]:
         """Units of the true errors that `measure` returns; empty where there is none."""
         return ()

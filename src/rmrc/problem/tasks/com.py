@@ -11,6 +11,7 @@ from rmrc.config.base import NameOf, Positive
 from rmrc.problem.frames import find
 from rmrc.problem.tasks.base import (
     Array,
+    FieldError,
     GainedTask,
     TargetKind,
     Term,
@@ -37,41 +38,54 @@ class ComTask(GainedTask, WeightedTask):
     def compile(self, model: mujoco.MjModel, start: Array) -> "ComTerm":
         """Find the subtree; the target is its centre of mass at the start."""
         weight = weight_array(self.B, 3)
-        body = robot_root(model) if self.body is None else find(model, "body", self.body)
+        roots = robot_roots(model) if self.body is None else (find(model, "body", self.body),)
+        mass = model.body_subtreemass[list(roots)]
+        if not mass.sum() > 0.0:
+            raise FieldError("body", "what is meant has no mass")
         data = mujoco.MjData(model)
         data.qpos = start
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
+        share = mass / mass.sum()
         return ComTerm(
             name=self.name,
             type=self.type,
             level=self.level,
             gain=gain_value(self.gain),
             weight=weight,
-            target=data.subtree_com[body].copy(),
-            body=body,
+            target=share @ data.subtree_com[list(roots)],
+            shares=tuple(zip(roots, share.tolist(), strict=True)),
             clamp=self.clamp or np.inf,
         )
 
 
-def robot_root(model: mujoco.MjModel) -> int:
-    """Return the one child of the world that has joints in its subtree, or the world itself.
+def robot_roots(model: mujoco.MjModel) -> tuple[int, ...]:
+    """Return the children of the world that have joints in their subtree: the robots.
 
-    Mocap targets and furniture have none; body 1, which mink takes, may well be one of them.
+    Furniture and mocap targets have none; body 1, which mink takes, may well be one of them.
     """
-    moving = {int(model.body_rootid[body]) for body in model.dof_bodyid}
-    return moving.pop() if len(moving) == 1 else 0
+    return tuple(sorted({int(model.body_rootid[body]) for body in model.dof_bodyid}))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ComTerm(Term):
-    """Rows of a `com` task: e = c* − c(q) and J = ∂c/∂q, in the world's axes."""
+    """Rows of a `com` task: e = c* − c(q) and J = ∂c/∂q, in the world's axes.
+
+    c = Σ m_i c_i / Σ m_i over the subtrees of several robots.
+    """
 
     target_kind: ClassVar[TargetKind] = "point"
     decisive: ClassVar[bool] = True
 
-    body: int
+    shares: tuple[tuple[int, float], ...]
+    """The bodies whose subtrees count, and each one's share of the mass."""
     clamp: float
+    """Largest error that the task acts on, m; infinite without one."""
+
+    @property
+    def clamps(self) -> tuple[tuple[slice, float], ...]:
+        """The whole error, where it has a clamp."""
+        return ((slice(3), self.clamp),) if self.clamp < np.inf else ()
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -85,18 +99,18 @@ class ComTerm(Term):
 
 
 class _ComEvaluator:
-    """Evaluates every `com` term with MuJoCo's subtree Jacobian."""
+    """Evaluates every `com` term with MuJoCo's subtree Jacobians."""
 
     def __init__(self, terms: Sequence[ComTerm], evaluation: "Evaluation"):
         self._model, self._data = evaluation.model, evaluation.data
         self._moving = evaluation.moving
+        self._part = np.zeros((3, self._model.nv))
         self._entries = []
         for term in terms:
             rows = evaluation.rows_of([term])
             self._entries.append(
                 (
                     term,
-                    self._data.subtree_com[term.body],
                     evaluation.target[term.name],
                     evaluation.jacobian[rows],
                     evaluation.error[rows],
@@ -106,12 +120,17 @@ class _ComEvaluator:
             )
 
     def __call__(self) -> None:
-        for term, com, target, jacobian, error, feedforward, twist in self._entries:
-            mujoco.mj_jacSubtreeCom(self._model, self._data, jacobian, term.body)
-            np.subtract(target, com, out=error)
-            if term.clamp < np.inf:
-                length = float(np.sqrt(error @ error))
-                if length > term.clamp:
-                    error *= term.clamp / length
+        com = self._data.subtree_com
+        for term, target, jacobian, error, feedforward, twist in self._entries:
+            if len(term.shares) == 1:
+                body = term.shares[0][0]
+                mujoco.mj_jacSubtreeCom(self._model, self._data, jacobian, body)
+                np.subtract(target, com[body], out=error)
+            else:
+                error[:], jacobian[:] = target, 0.0
+                for body, share in term.shares:
+                    mujoco.mj_jacSubtreeCom(self._model, self._data, self._part, body)
+                    jacobian += share * self._part
+                    error -= share * com[body]
             if term.name in self._moving:
                 feedforward[:] = twist[:3]

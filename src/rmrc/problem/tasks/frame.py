@@ -116,9 +116,10 @@ class PoseTerm(Term):
     """Largest error that the task acts on, m and rad; infinite without one."""
 
     @property
-    def clamped(self) -> bool:
-        """Whether there is a clamp."""
-        return min(self.clamp) < np.inf
+    def clamps(self) -> tuple[tuple[slice, float], ...]:
+        """The position and the orientation, each where it has a clamp."""
+        halves = zip((slice(3), slice(3, 6)), self.clamp, strict=True)
+        return tuple((half, longest) for half, longest in halves if longest < np.inf)
 
     @cached_property
     def weighed(self) -> tuple[bool, bool]:
@@ -149,14 +150,6 @@ class PoseTerm(Term):
         along = float(rho @ omega / angle) ** 2
         chord = (2.0 * np.sin(0.5 * angle) / angle) ** 2
         return np.array([np.sqrt(along + chord * max(length - along, 0.0)), angle])
-
-
-def clamp_twist(error: Array, clamp: tuple[float, float]) -> None:
-    """Shorten the two halves of a twist (6,) in place to at most `clamp` = (m, rad)."""
-    for part, longest in ((error[:3], clamp[0]), (error[3:6], clamp[1])):
-        length = float(np.sqrt(part @ part))
-        if length > longest:
-            part *= longest / length
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -214,7 +207,6 @@ class _FrameEvaluator:
             else:
                 halves = self._transform[k].reshape(12, 3)
                 self._body.append((*shared, matrix.reshape(3, 3).T, halves))
-        self._clamped = [(self._error[k], t.clamp) for k, t in enumerate(terms) if t.clamped]
         self._feeds = [
             (
                 k,
@@ -243,8 +235,6 @@ class _FrameEvaluator:
             np.matmul(self._transform, self._world, out=self._jacobian)
         if self._moving:
             self._feed_forward()
-        for error, clamp in self._clamped:
-            clamp_twist(error, clamp)
 
     def _feed_forward(self) -> None:
         """Write what the target's own velocity (v_t, ω_t) adds.

@@ -31,9 +31,6 @@ class MinkTerm(Term):
         """Return ẋ_ff (rows,) for the target's velocity `twist`."""
         raise NotImplementedError
 
-    def limit_error(self, error: Array) -> None:
-        """Shorten the error in place where the user asked for it."""
-
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
         """Evaluate the terms one by one."""
@@ -70,7 +67,6 @@ class _MinkEvaluator:
             error[:] = residual[1]
             if term.name in self._moving:
                 feedforward[:] = term.feed_forward(configuration, error, target, twist)
-            term.limit_error(error)
 
 
 def look_at_units(error: Array) -> Array:

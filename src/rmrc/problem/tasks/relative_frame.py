@@ -10,7 +10,7 @@ from rmrc.config.base import Frame
 from rmrc.problem.frames import FrameHandle, resolve
 from rmrc.problem.lie import adjoint, inverse, inverse_multiply, jlog, turn_back
 from rmrc.problem.tasks.base import Array, gain_value
-from rmrc.problem.tasks.frame import PoseTask, PoseTerm, clamp_twist
+from rmrc.problem.tasks.frame import PoseTask, PoseTerm
 from rmrc.problem.tasks.mink_tasks import MinkTerm
 
 
@@ -72,8 +72,3 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
         )
         relative = inverse_multiply(target, pose.wxyz_xyz)
         return jlog(relative) @ (adjoint(inverse(relative)) @ turn_back(target, twist))
-
-    def limit_error(self, error: Array) -> None:
-        """Clamp the two halves of the error."""
-        if self.clamped:
-            clamp_twist(error, self.clamp)
