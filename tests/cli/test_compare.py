@@ -221,4 +221,5 @@ def test_wrong_input_is_said_once_and_leaves_nothing(
     done = rmrc(CONFIGS / "compare_limits.yaml", *arguments, "--json", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count(message) == 1
+    assert ("needs" in done.stderr) == ("needs" in message)
     assert list(tmp_path.iterdir()) == []

@@ -23,6 +23,11 @@ SHIPPED = {
     "biped_balance",
     "menagerie_panda",
     "menagerie_g1",
+    "panda_actuated",
+    "compare_singular",
+    "compare_redundant",
+    "compare_limits",
+    "compare_line",
 }
 
 

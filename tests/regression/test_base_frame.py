@@ -106,7 +106,7 @@ def turned(v: np.ndarray, base: mink.SE3, floating: bool) -> np.ndarray:
         if way != "inverse" or robot in ("planar", "ur5e")
     ],
 )
-@examples(5)
+@examples(3)
 @given(numbers)
 def test_every_method_moves_the_same_elsewhere(robot, way, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)
@@ -128,7 +128,7 @@ def test_every_method_moves_the_same_elsewhere(robot, way, tmp_path_factory, num
 
 @each_robot
 @pytest.mark.parametrize("priority", ["soft", "strict"])
-@examples(5)
+@examples(3)
 @given(numbers)
 def test_every_task_asks_for_the_same_elsewhere(robot, priority, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)

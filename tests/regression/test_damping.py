@@ -31,7 +31,7 @@ each_way = pytest.mark.parametrize("way", WAYS)
 
 @each_robot
 @each_way
-@examples(5)
+@examples(3)
 @given(numbers)
 def test_damping_trades_error_for_rate(robot, way, tmp_path_factory, number) -> None:
     # As in any convex program: a larger weight on ‖v‖² cannot raise it, nor lower the other term.
@@ -56,7 +56,7 @@ def test_damping_trades_error_for_rate(robot, way, tmp_path_factory, number) -> 
 
 @each_robot
 @each_way
-@examples(15)
+@examples(10)
 @given(numbers, st.sampled_from([1e-3, 1e-2, 1e-1, 1.0]), st.booleans())
 def test_the_rate_is_bounded(robot, way, tmp_path_factory, number, damping, straight) -> None:
     # With limits, too: v = 0 is inside, so that λ²‖v‖² ≤ ⟨ẋ, Jv⟩_B − ‖Jv‖²_B ≤ ¼‖ẋ‖²_B.
@@ -77,7 +77,7 @@ def test_the_rate_is_bounded(robot, way, tmp_path_factory, number, damping, stra
 
 
 @pytest.mark.parametrize("way", ["dls", "qp"])
-@examples(15)
+@examples(10)
 @given(numbers, st.integers(0, 1))
 def test_the_bound_is_attained(way, tmp_path_factory, number, direction) -> None:
     # Where λ is the singular value of the direction that is asked for.

@@ -31,7 +31,7 @@ METRICS = {
 
 @each_robot
 @pytest.mark.parametrize("metric", METRICS)
-@examples(8)
+@examples(6)
 @given(numbers, st.floats(0.01, 1.0), st.booleans())
 def test_dls_is_the_qp(robot, metric, tmp_path_factory, number, damping, whole) -> None:
     rng = np.random.default_rng(number)

@@ -32,7 +32,7 @@ def three_levels(robot: str, rng: np.random.Generator, folder) -> tuple[Robot, l
 
 
 @each_robot
-@examples(20)
+@examples(15)
 @given(numbers, dampings)
 def test_nullspace_is_the_strict_qp(robot, tmp_path_factory, number, damping) -> None:
     rng = np.random.default_rng(number)

@@ -37,7 +37,7 @@ def assert_rate(qp, pinv, moment, damping: float) -> None:
 
 
 @each_robot
-@examples(20)
+@examples(15)
 @given(numbers, dampings)
 def test_the_qp_tends_to_the_pseudo_inverse_at_its_rate(
     robot, tmp_path_factory, number, damping
@@ -49,7 +49,7 @@ def test_the_qp_tends_to_the_pseudo_inverse_at_its_rate(
     assert_rate(qp, pinv, random_moment(qp, rng), damping)
 
 
-@examples(20)
+@examples(15)
 @given(numbers, dampings)
 def test_and_so_it_does_where_the_arm_is_singular(tmp_path_factory, number, damping) -> None:
     rng = np.random.default_rng(number)
@@ -62,7 +62,7 @@ def test_and_so_it_does_where_the_arm_is_singular(tmp_path_factory, number, damp
 
 
 @pytest.mark.parametrize("robot", ["planar", "ur5e"])
-@examples(20)
+@examples(15)
 @given(numbers)
 def test_a_square_arm_has_one_solution_by_every_method(robot, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)

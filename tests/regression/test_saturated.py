@@ -51,7 +51,7 @@ def boxed(robot: str, rng: np.random.Generator, folder, share: float) -> tuple[R
 
 
 @each_robot
-@examples(20)
+@examples(15)
 @example(52, 0.5)
 @example(151, 0.5)
 @example(4, 0.5)
@@ -73,7 +73,7 @@ def test_saturated_is_the_qp_that_keeps_its_direction(
 
 @each_robot
 @pytest.mark.parametrize("priority", ["soft", "strict"])
-@examples(20)
+@examples(15)
 @example(137, 0.5)
 @example(3, 0.5)
 @given(numbers, shares)
@@ -96,7 +96,7 @@ def test_the_qp_holds_the_task_as_saturated_does_or_comes_nearer(
 
 
 @each_robot
-@examples(20)
+@examples(15)
 @given(numbers, shares, st.floats(0.05, 1.0))
 def test_the_qp_is_damped_least_squares_in_its_box(
     robot, tmp_path_factory, number, share, damping

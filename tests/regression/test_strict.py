@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from models import REPOSITORY, config
 from scipy.optimize import lsq_linear
 
 import rmrc
+from models import REPOSITORY, config
 from rmrc.qp.backends import create
 from rmrc.qp.cascade import Cascade, Level
 from rmrc.reference import prioritized

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from robots import (
     assert_close,
     definite,
@@ -30,8 +30,7 @@ WAYS = {
 
 @each_robot
 @pytest.mark.parametrize("way", WAYS)
-@examples(5)
-@example(109)
+@examples(3)
 @given(numbers)
 def test_tasks_may_be_written_in_any_order(robot, way, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)
@@ -58,7 +57,7 @@ def test_tasks_may_be_written_in_any_order(robot, way, tmp_path_factory, number)
 
 
 @each_robot
-@examples(5)
+@examples(3)
 @given(numbers)
 def test_levels_matter(robot, tmp_path_factory, number) -> None:
     rng = np.random.default_rng(number)

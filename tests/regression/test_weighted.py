@@ -45,7 +45,7 @@ def test_weighted_is_the_strict_qp(robot, metric, tmp_path_factory, number) -> N
 
 
 @each_robot
-@examples(20)
+@examples(15)
 @given(numbers, st.sampled_from([1.0, 1e-2, 1e-4, 1e-6]))
 def test_the_qp_tends_to_the_weighted_least_norm_at_its_rate(
     robot, tmp_path_factory, number, scale

@@ -1,5 +1,6 @@
 """The closed forms as methods of a run: the same tasks, paths and record as the QP's."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,7 +48,7 @@ class Ask:
     @property
     def metric(self) -> Array:
         """A (n, n)."""
-        return self.assembly.metric
+        return self.assembly.metric()
 
 
 def _descent(ask: Ask) -> Array:
@@ -82,7 +83,7 @@ METHODS: dict[str, Callable[[Ask], Array]] = {
     "sdls": lambda ask: reference.selectively_damped(ask.jacobian, ask.rate * ask.dt) / ask.dt,
     "nullspace": lambda ask: reference.prioritized(
         [(level.rows, level.rate) for level in ask.assembly.levels()[:-1]],
-        damping=ask.problem.damping,
+        damping=ask.problem.damping * math.sqrt(ask.assembly.unit),
     ),
     "saturated": lambda ask: reference.saturated(
         ask.jacobian, ask.rate, ask.assembly.qp.lb, ask.assembly.qp.ub
@@ -161,7 +162,12 @@ class ClosedFormEngine:
                 f"inverse needs as many task rows as dofs, and there are {rows} rows and {n} dofs; "
                 "pinv takes any number",
             )
-        if method == "weighted" and np.linalg.matrix_rank(self.assembly.metric) < n:
+        inertia = self.problem.inertia > 0.0  # M(q) weighs every dof
+        if (
+            method == "weighted"
+            and not inertia
+            and np.linalg.matrix_rank(self.assembly.metric()) < n
+        ):
             return Mistake(("method",), "weighted needs a metric that weighs every dof: set metric")
         return None
 

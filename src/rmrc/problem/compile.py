@@ -134,6 +134,7 @@ class _Compiler:
         for equality in range(model.neq):
             name = model.equality(equality).name or f"equality {equality}"
             notices.append(f"the model's equality constraint '{name}' is not held")
+        strict = config.priority == "strict"
         return Problem(
             config=config,
             model=model,
@@ -144,8 +145,8 @@ class _Compiler:
             metric=metric,
             inertia=inertia,
             damping=config.damping.lambda_,
-            soft_ratio=1.0 if config.priority == "strict" else config.soft_ratio,
-            strict=config.priority == "strict",
+            soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
+            strict=strict,
             box=_select(box, dofs),
             notices=tuple(notices),
             mink_tasks=mink_tasks,

@@ -75,8 +75,6 @@ class Assembly:
             (k, self._leveled(term)) for k, term in enumerate(joint_terms) if term.weight.ndim == 2
         ]
         self._constant = self._constant_hessian()
-        self.metric = problem.metric[np.ix_(self._dofs, self._dofs)]
-        """The constant part of A (n, n)."""
         self._leveled_terms = [
             [term for term in evaluation.terms if term.level == level]
             for level in sorted({term.level for term in evaluation.terms})
@@ -203,6 +201,14 @@ class Assembly:
             qp.H.flat[:: dofs.size + 1] += self.unit * residual[2]
             qp.g -= self.unit * residual[1] @ columns / dt
 
+    def metric(self) -> Array:
+        """Return A (n, n) at the present assembly, in the configuration's own unit."""
+        chosen = np.ix_(self._dofs, self._dofs)
+        metric = self._problem.metric[chosen]
+        if self._problem.inertia:
+            metric = metric + self._problem.inertia * self._inertia[chosen]
+        return metric
+
     def levels(self) -> list[Level]:
         """Return what each level asks for at the present assembly, the highest first.
 
@@ -210,10 +216,7 @@ class Assembly:
         """
         n = self._dofs.size
         damping = max(self.unit * self._problem.damping**2, LEAST_DAMPING) * np.eye(n)
-        metric = self.unit * self.metric
-        if self._problem.inertia:
-            inertia = self._inertia[np.ix_(self._dofs, self._dofs)]
-            metric = metric + self.unit * self._problem.inertia * inertia
+        metric = self.unit * self.metric()
         metric = metric + damping if metric.any() else np.eye(n)
         return [
             *(self._level(level, damping) for level in self._leveled_terms),
@@ -234,7 +237,8 @@ class Assembly:
             rows.append(self._weighted[part][:, self._dofs])
             rates.append(-self._unwanted[part])
             if term.preserve:
-                weighed = np.any(self._weighted[part] != 0.0, axis=1)
+                weight = term.weight
+                weighed = (weight if weight.ndim == 1 else np.diagonal(weight)) > 0.0
                 jacobian = self._evaluation.jacobian[part][weighed]
                 directions.append((jacobian[:, self._dofs], self.rate[part][weighed]))
         direction = None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rmrc.qp.backends import Backend
 from rmrc.qp.certificate import Certificate
+from rmrc.qp.polish import Polish
 from rmrc.qp.program import KKT, QP, Solution, SolveStatus
 
 Array = NDArray[np.float64]
@@ -20,6 +21,13 @@ RANK = 1e-9
 """A singular value below this share of the largest of 1 and σ_max leaves its direction free."""
 FASTEST = 1e-10
 """Weight of ‖v‖² beside (α − 1)²; α falls short of its maximum by no more than this times ‖v‖²."""
+POLISHED = 1e-10
+"""A residual above this is worth a polish: the levels' programs can be nearly singular."""
+REGULARIZATION = (0.0, 1e-9, 1e-7, 1e-5)
+"""What is added to the diagonal, one after another, until a backend solves: these programs are
+nearly singular, and v = 0 or z = 0 is feasible, so that a refusal is one of rounding."""
+SOUND = 1e-7
+"""A residual up to which a solution is taken without more regularization."""
 WHOLE = 1e-6
 """A task whose α is less than 1 by more than this runs slower than asked."""
 
@@ -139,9 +147,16 @@ class Cascade:
         qp, backend, certificate = self._solvers[shape]
 
         def solve() -> Solution:
-            backend.setup(qp)
-            solution = backend.solve()
-            certificate.certify(solution)
+            solution = Solution.at_rest(qp)
+            for more in REGULARIZATION:
+                qp.H.flat[:: qp.g.size + 1] += more
+                backend.setup(qp)
+                solution = backend.solve()
+                if certificate.certify(solution) > POLISHED:
+                    solution = Polish(qp).improve(solution)
+                    certificate.certify(solution)
+                if solution.status is SolveStatus.SOLVED and max(solution.kkt) < SOUND:
+                    break
             return solution
 
         return qp, solve
@@ -174,7 +189,11 @@ class _State:
         if self.free is None:
             qp.lb[: self.count], qp.ub[: self.count] = low, high
         else:
+            # A joint that the levels above have fixed has a row of rounding, which a solver that
+            # scales rows would take for a limit.
+            fixed = np.sqrt(np.einsum("ij,ij->i", self.free, self.free)) < RANK
             qp.C[:, : self.count], qp.lo[:], qp.hi[:] = self.free, low, high
+            qp.C[fixed], qp.lo[fixed], qp.hi[fixed] = 0.0, -np.inf, np.inf
 
     def move(self, z: Array, fixed: Array) -> bool:
         """Add N z to v and keep only what leaves the rows `fixed` alone; return whether any is."""

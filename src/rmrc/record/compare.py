@@ -10,6 +10,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config, Method
 from rmrc.control.loop import Progress, solve
 from rmrc.control.methods import WITHIN_LIMITS, ignored
@@ -31,6 +32,8 @@ NUMBERS = "compare.json"
 PAGE = "compare.html"
 COMPARISON_FOLDER = FolderKind("comparison", (NUMBERS, PAGE))
 FORMAT = 1
+REPLACED = (("method",), ("follow",))
+"""The places whose mistakes are a method's, not the configuration's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,14 +192,14 @@ def compare(
     """
     variants = _variants(config, methods, backends, follow)
     entries: list[Entry] = []
-    mistakes: dict[str, ConfigError] = {}
+    mistakes: dict[str, tuple[Mistake, ...]] = {}
     interrupted, whole = False, len(variants) * config.steps
     for number, (name, variant) in enumerate(variants.items()):
         try:
             entries.append(_entry(name, variant, _part(progress, number * config.steps, whole)))
             interrupted = entries[-1].run.manifest["interrupted"]
-        except ConfigError as mistake:
-            mistakes[name] = mistake
+        except ConfigError as error:
+            mistakes[name] = error.mistakes
         except KeyboardInterrupt:  # before the first step or after the last
             if not entries:
                 raise
@@ -204,10 +207,12 @@ def compare(
         if interrupted:
             break
     if not entries:
-        raise ConfigError("\n".join(dict.fromkeys(map(str, mistakes.values()))))
+        wrong = [mistake for several in mistakes.values() for mistake in several]
+        # What is wrong with the configuration itself comes first: nothing can run before.
+        itself = [mistake for mistake in wrong if mistake.location[:1] not in REPLACED]
+        raise config_error(itself or wrong, config)
     left_out = {
-        name: "; ".join(each.message for each in mistake.mistakes) or str(mistake)
-        for name, mistake in mistakes.items()
+        name: "; ".join(each.message for each in several) for name, several in mistakes.items()
     }
     return Comparison(config, tuple(entries), left_out, interrupted)
 

@@ -71,7 +71,8 @@ def damping_error(error: ArrayLike, minimum: float, B: ArrayLike = 1.0) -> float
 
     Args:
         error: e (m,), m or rad.
-        minimum: λ_min ≥ 0, in the units of √B·J; of 0.03 to 0.1 times a link's length.
+        minimum: λ_min ≥ 0, the root of the paper's bias, in the units of √B·J; small against a
+            link's length.
         B: weight of the squared error, symmetric positive semi-definite: a number, a diagonal
             (m,) or a matrix (m, m).
 
@@ -138,13 +139,13 @@ def selectively_damped(
     limit: float = np.pi / 4,
     blocks: tuple[int, ...] | None = None,
 ) -> Array:
-    """Return a step in q whose singular directions are clamped one by one, each as far as it must.
+    """Return a step in q, each singular direction clamped by itself and the weak ones the most.
 
     With J = Σ σᵢuᵢvᵢᵀ and the rows of J in blocks, one for each point or rotation that is steered:
 
         Nᵢ = Σ_b ‖uᵢ,b‖                        how far the blocks move in direction i
-        Mᵢ = σᵢ⁻¹ Σ_b Σ_j |v_ji| ‖J_b,j‖       how far the joints move them on the way
-        γᵢ = min(1, Nᵢ/Mᵢ) γ_max
+        Mᵢ = σᵢ⁻¹ Σ_b Σ_j |v_ji| ‖J_b,j‖       how far the joints, each alone, move them for it
+        γᵢ = (Nᵢ/Mᵢ) γ_max                     where Nᵢ ≤ Mᵢ, by the triangle inequality
         Δq = clamp_∞(Σᵢ clamp_∞(σᵢ⁻¹ ⟨uᵢ, e⟩ vᵢ, γᵢ), γ_max)
 
     clamp_∞(w, γ) shortens w until no entry is larger than γ. Directions of σᵢ = 0 are left out.
@@ -183,7 +184,7 @@ def selectively_damped(
     column = np.sqrt(np.add.reduceat(J * J, starts)).sum(axis=0)  # Σ_b ‖J_b,j‖
     size = abs(V)
     effort = column @ size / sigma  # M
-    allowed = limit * np.minimum(1.0, reach / effort)  # γ
+    allowed = limit * reach / effort  # γ
     coefficient = (U.T @ error) / sigma
     largest = abs(coefficient) * size.max(axis=0)
     coefficient *= allowed / np.maximum(allowed, largest)

@@ -170,8 +170,6 @@ def task_metric(J: ArrayLike, B: ArrayLike, damping: float = 0.0) -> Array:
     B = arguments.semidefinite("B", B, len(J))
     damping = arguments.nonnegative("damping", damping)
     A = J.T @ B @ J
-    A += A.T
-    A *= 0.5  # symmetric to the last bit
     A.flat[:: len(A) + 1] += damping * damping
     if linear.invert_factor(A) is None:
         rank = np.linalg.matrix_rank(A, hermitian=True)

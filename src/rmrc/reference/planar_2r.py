@@ -119,12 +119,12 @@ def velocity(q: ArrayLike, xdot: ArrayLike, lengths: tuple[float, float] = (1.0,
 
     Source: Craig, as for `forward`.
     """
-    x1, x2 = forward(q, lengths).tolist()
-    q1, q2 = np.asarray(q, dtype=np.float64).tolist()
+    q1, q2 = arguments.vector("q", q, 2).tolist()
     w1, w2 = arguments.vector("xdot", xdot, 2).tolist()
-    l1, l2 = lengths
-    s2 = sin(q2)
+    l1, l2 = _lengths(lengths)
+    s2, s12, c12 = sin(q2), sin(q1 + q2), cos(q1 + q2)
     if abs(s2) <= 4.0 * EPSILON:
         raise ValueError(f"q is singular: the arm is stretched or folded at q₂ = {q2:.6g} rad")
-    along = cos(q1 + q2) * w1 + sin(q1 + q2) * w2
-    return np.array([along / (l1 * s2), -(x1 * w1 + x2 * w2) / (l1 * l2 * s2)])
+    along = c12 * w1 + s12 * w2
+    radial = (l1 * cos(q1) + l2 * c12) * w1 + (l1 * sin(q1) + l2 * s12) * w2
+    return np.array([along / (l1 * s2), -radial / (l1 * l2 * s2)])

@@ -48,17 +48,17 @@ def saturated(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike)
     free = V @ ((U.T @ xdot) / sigma)
     if (lower <= free).all() and (free <= upper).all():
         return free
-    Z = np.linalg.qr(V, mode="complete").Q[:, V.shape[1] :]  # N = ZZᵀ
+    working = _WorkingSet(np.linalg.qr(V, mode="complete").Q[:, V.shape[1] :])
     scale = 1.0
     while True:
-        v, normal = _nearest(Z, scale * free, lower, upper)
+        v, normal = _nearest(working, scale * free, lower, upper)
         if normal is None:
             return v
         # No motion of the null space changes normalᵀv = s · normalᵀJ⁺ẋ; the box ends at `edge`.
         held = normal != 0.0
         edge = normal[held] @ np.where(normal > 0.0, upper, lower)[held]
         speed = normal @ free
-        if edge < 0.0 or speed <= 0.0:
+        if edge < 0.0:
             raise ValueError("lower, upper: no v inside them has J v = s xdot with 0 ≤ s ≤ 1")
         if edge >= (1.0 - ROUNDING) * scale * speed:
             return v
@@ -103,14 +103,16 @@ def bounded_dls(
     return saturated(slack, xdot, np.append(lower, -none), np.append(upper, none))[:columns]
 
 
-def _nearest(Z: Array, free: Array, lower: Array, upper: Array) -> tuple[Array, Array | None]:
-    """Return the v nearest to `free` in the box, over v − free in the range of Z (orthonormal).
+def _nearest(
+    working: "_WorkingSet", free: Array, lower: Array, upper: Array
+) -> tuple[Array, Array | None]:
+    """Return the v nearest to `free` in the box, over v − free in the range of N.
 
-    If there is no such v, return one in the box and a normal a with Zᵀa = 0 and aᵀfree > aᵀw for
+    If there is no such v, return one in the box and a normal a with Na = 0 and aᵀfree > aᵀw for
     all w in the box. Each pass of the dual active-set method pushes the joint that is furthest
-    outside back in.
+    outside back in; `working` may hold joints from another `free` to begin with.
     """
-    working = _WorkingSet(Z)
+    working.review(free)
     distance = -1.0
     while True:
         move = working.hold(free)
@@ -130,9 +132,10 @@ def _nearest(Z: Array, free: Array, lower: Array, upper: Array) -> tuple[Array, 
 
 
 class _WorkingSet:
-    """The joints W that are held at limits: v = free + Nμ, N = ZZᵀ, with μ = 0 outside W."""
+    """The joints W that are held at limits: v = free + Nμ, with μ = 0 outside W."""
 
     def __init__(self, Z: Array) -> None:
+        """Hold no joint; the columns of Z are an orthonormal basis of the null space, N = ZZᵀ."""
         self.joints: list[int] = []
         self._sides: list[float] = []  # +1 at a lower limit, −1 at an upper
         self.limits: list[float] = []
@@ -145,11 +148,23 @@ class _WorkingSet:
         self._Q, R = np.linalg.qr(self._Z[self.joints].T, mode="complete")
         self._R_inverse = np.linalg.inv(R[: len(self.joints)])
 
+    def _release(self, index: int) -> None:
+        for column in (self.joints, self._sides, self.limits, self._sizes):
+            del column[index]
+        self._factorize()
+
     def hold(self, free: Array) -> Array:
         """Return the least motion Nμ that takes the joints W to their limits, and keep |μ|."""
         pull = (self.limits - free[self.joints]) @ self._R_inverse
         self._sizes = (self._sides * (self._R_inverse @ pull)).tolist()
         return self._Z @ (self._Q[:, : pull.size] @ pull)
+
+    def review(self, free: Array) -> None:
+        """Release the joints that would have to be pulled to their limits, not pushed."""
+        self.hold(free)
+        while min(self._sizes, default=0.0) < 0.0:
+            self._release(self._sizes.index(min(self._sizes)))
+            self.hold(free)
 
     def push(self, j: int, side: float, limit: float, gap: float) -> Array | None:
         """Take joint j into W, releasing the joints whose |μ| falls to zero before its gap closes.
@@ -178,6 +193,4 @@ class _WorkingSet:
                 return None
             gap -= time * give
             self._sizes = [s - time * fall for s, fall in zip(self._sizes, falls, strict=True)]
-            for column in (self.joints, self._sides, self.limits, self._sizes):
-                del column[released]
-            self._factorize()
+            self._release(released)
