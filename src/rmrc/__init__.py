@@ -5,6 +5,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rmrc import reference
     from rmrc.config.base import Frame, Pose
     from rmrc.config.load import load
     from rmrc.config.models import Config
@@ -86,6 +87,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "reference":
+        return import_module("rmrc.reference")
     if name not in _HOMES:
         raise AttributeError(f"module 'rmrc' has no attribute '{name}'")
     value = globals()[name] = getattr(import_module(_HOMES[name]), name)
@@ -129,5 +132,6 @@ __all__ = [
     "compare",
     "compile",
     "load",
+    "reference",
     "solve",
 ]

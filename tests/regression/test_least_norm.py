@@ -43,7 +43,7 @@ def test_every_other_solution_is_longer_by_what_it_adds(robot, tmp_path_factory,
         other = moment.step(controller).v
         assert_close(jacobian @ other, rate, SOLVED)
         added = np.linalg.norm(other - v)
-        assert added > 0.01 or len(rate) == v.size
+        assert added > 10.0 * SOLVED or len(rate) == v.size
         assert np.linalg.norm(other) == pytest.approx(
             np.hypot(np.linalg.norm(v), added), rel=SOLVED
         )
