@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 RANK = 1e-9
 """A singular value below this share of the largest of 1 and σ_max leaves its direction free."""
 FASTEST = 1e-10
-"""Weight of ‖v‖² beside (α − 1)²; α falls short of its maximum by no more than this times ‖v‖²."""
+"""Weight of ‖v‖² beside (α − 1)²; α falls short of its maximum by at most its root times ‖v‖."""
 POLISHED = 1e-10
 """A residual above this is worth a polish: the levels' programs can be nearly singular."""
 REGULARIZATION = (0.0, 1e-9, 1e-7, 1e-5)
