@@ -22,7 +22,7 @@ FRAME_KINDS: tuple[FrameKind, ...] = ("site", "body", "geom")
 SEMIDEFINITE_TOLERANCE = 1e-9
 
 
-NameKind = Literal["site", "body", "geom", "joint", "keyframe", "geom or body"]
+NameKind = Literal["site", "body", "geom", "joint", "keyframe", "geom or body", "mocap"]
 
 
 @dataclass(frozen=True)
@@ -156,6 +156,7 @@ Weight = Annotated[
 ]
 JointName = Annotated[str, NameOf("joint")]
 KeyframeName = Annotated[str, NameOf("keyframe")]
+MocapName = Annotated[str, NameOf("mocap")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_\-]*$")]
 
 

@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 from rmrc.config.base import (
     JointName,
     KeyframeName,
+    MocapName,
     Model,
     Name,
     NameOf,
@@ -20,12 +21,12 @@ from rmrc.config.base import (
     Weight,
 )
 from rmrc.config.document import NOWHERE, Document, Location, Place
+from rmrc.config.limits import LimitsModel
 from rmrc.config.mistakes import Disagreement
 from rmrc.config.names import disagreements
 from rmrc.control.paths import PathConfig
 from rmrc.problem.tasks import Task
 
-Off = Literal["off"]
 Method = Literal[
     "qp",
     "inverse",
@@ -47,6 +48,8 @@ class SolverModel(Model):
     """daqp, proxqp, osqp, or any other solver that qpsolvers offers."""
     max_iter: Annotated[int, Field(strict=True, ge=1, le=2**31 - 1)] | None = None
     """Most iterations a step may use; by default the backend's own."""
+    deadline: Positive | None = None
+    """Time budget of a step in µs; by default none."""
     tolerance: Positive | None = None
     """Tolerance handed to the backend; by default one well inside the certificate's."""
 
@@ -57,7 +60,14 @@ class DampingModel(Model):
     model_config = ConfigDict(populate_by_name=True)
 
     lambda_: Annotated[NonNegative, Field(alias="lambda")] = 0.01
-    """λ, in the units of √B·m/rad."""
+    """λ, in the units of √B·m/rad; with `adapt` the least that it can be."""
+    adapt: Literal["off", "sigma_min", "manipulability", "error"] = "off"
+    """What raises λ: a small singular value σ of the tasks' weighted Jacobian (Chiaverini), a small
+    manipulability w (Nakamura and Hanafusa), or a large error (Sugihara)."""
+    threshold: Positive = 0.05
+    """σ or w below which λ rises, in the units of λ and of their product."""
+    largest: Positive = 0.1
+    """λ at σ = 0 or w = 0; `error` has no largest λ."""
 
 
 class ToleranceModel(Model):
@@ -69,39 +79,13 @@ class ToleranceModel(Model):
     """rad."""
 
 
-class PositionLimit(Model):
-    """Joints stay inside the model's ranges."""
+class TimeoutModel(Model):
+    """Ages, s, beyond which what comes in is stale, and the robot brakes."""
 
-    margin: NonNegative = 0.0
-    """Distance kept from each end of the range, rad or m."""
-    gain: Share = 0.95
-    """Share g of the remaining distance that a step may use."""
-
-
-class PerJoint(Model):
-    """A limit for each joint: a default, and others by joint name."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[JointName, Positive] = Field(init=False)  # pyright: ignore
-
-    default: Positive | None = None
-    """For every joint that is not named."""
-
-    @property
-    def named(self) -> dict[str, float]:
-        """The limits of the joints that are named."""
-        return dict(self.__pydantic_extra__ or {})
-
-
-class LimitsModel(Model):
-    """The limits of the joints; `off` removes one that is on by default."""
-
-    position: PositionLimit | Off = PositionLimit()
-    """Position, from the model's ranges; on by default."""
-    velocity: PerJoint | Off = PerJoint()
-    """Velocity in rad/s or m/s; by default π rad/s and 1 m/s."""
-    acceleration: PerJoint | Off = "off"
-    """Acceleration in rad/s² or m/s²; off by default."""
+    target: Positive | None = None
+    """Of a target that has been set; by default never."""
+    measurement: Positive | None = None
+    """Of the measured configuration; by default never."""
 
 
 class PushModel(Model):
@@ -175,12 +159,19 @@ class Config(Model):
     """What `converged` means."""
     dofs: Annotated[tuple[JointName, ...], Field(min_length=1)] | None = None
     """The joints that may move; by default all."""
+    timeout: TimeoutModel = TimeoutModel()
+    """When targets and measurements are stale."""
+    previous: Literal["commanded", "measured"] = "commanded"
+    """The velocity that acceleration, jerk and `smooth` count from: the last command, or what was
+    measured."""
     tasks: Annotated[tuple[Task, ...], Field(min_length=1)]
     """The tasks."""
     limits: LimitsModel = LimitsModel()
     """The limits."""
     targets: dict[Name, PathConfig] = Field(default={})
     """Paths of the tasks' targets, by task; a task without one holds its target of the start."""
+    obstacles: dict[MocapName, PathConfig] = Field(default={})
+    """Paths of mocap bodies, by body; one without a path stands still."""
 
     _root: Path = PrivateAttr(default_factory=Path.cwd)
     _document: Document = PrivateAttr(default=NOWHERE)

@@ -5,7 +5,8 @@ from typing import Any
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
-from rmrc.config.models import Config, LimitsModel
+from rmrc.config.limits import LimitsModel
+from rmrc.config.models import Config
 from rmrc.config.stacks import PARAMETER
 from rmrc.problem.tasks import Task
 

@@ -9,8 +9,9 @@ import numpy as np
 from mink.tasks import BaseTask
 from numpy.typing import NDArray
 
+from rmrc.config.limits import LimitsModel, PerJoint
 from rmrc.config.mistakes import Mistake, config_error
-from rmrc.config.models import Config, LimitsModel, PerJoint
+from rmrc.config.models import Config
 from rmrc.errors import ModelError, SolverError
 from rmrc.problem.configuration import (
     dof_of_joint,

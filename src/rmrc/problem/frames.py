@@ -40,7 +40,13 @@ _POSES = {
 
 
 def names(model: mujoco.MjModel, kind: str) -> list[str]:
-    """Return the names that the model has of one kind, unnamed things left out."""
+    """Return the names that the model has of one kind, unnamed things left out.
+
+    A `mocap` is a body that is moved from outside.
+    """
+    if kind == "mocap":
+        bodies = np.flatnonzero(model.body_mocapid >= 0)
+        return [name for body in bodies.tolist() if (name := model.body(body).name)]
     count = getattr(model, _COUNTS[kind])
     found = (mujoco.mj_id2name(model, OBJECTS[kind], i) for i in range(count))
     return [name for name in found if name]
