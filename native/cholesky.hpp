@@ -1,0 +1,49 @@
+// A Cholesky factor of a part of a matrix, which gains and loses single rows and columns.
+#pragma once
+
+#include <vector>
+
+namespace rmrc {
+
+/// L Lᵀ = A, with L lower triangular, its columns contiguous.
+///
+/// A pivot that rounding has eaten up is replaced by the smallest that A's diagonal can resolve:
+/// the factor then belongs to a matrix slightly larger than A, and iterative refinement with A
+/// itself takes the difference out.
+class Cholesky {
+ public:
+  /// Allocate for matrices up to capacity × capacity.
+  explicit Cholesky(int capacity);
+
+  /// Factorize A = H[index, index], of a symmetric H (n, n) whose rows are `stride` apart.
+  void factorize(const double* H, int stride, const int* index, int size);
+
+  /// Append a last row and column to A, `column` (size) and `diagonal`.
+  void append(const double* column, double diagonal);
+
+  /// Remove row and column `position` of A.
+  void remove(int position);
+
+  /// x ← L⁻¹x, of an x that is 0 before `from`.
+  void forward(double* x, int from = 0) const;
+
+  /// x ← L⁻ᵀx.
+  void backward(double* x) const;
+
+  int size() const { return size_; }
+
+ private:
+  double* column(int j) { return factor_.data() + j * stride_; }
+  const double* column(int j) const { return factor_.data() + j * stride_; }
+
+  /// Return 1/√pivot, of a pivot that is at least what `diagonal` can resolve.
+  double inverse_root(double pivot, double diagonal) const;
+
+  int stride_;
+  int size_ = 0;
+  std::vector<double> factor_;
+  std::vector<double> inverse_diagonal_;  // 1/Lⱼⱼ: a division costs ten multiplications
+  std::vector<double> work_;
+};
+
+}  // namespace rmrc

@@ -1,0 +1,506 @@
+#include "qp.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "kernels.hpp"
+
+namespace rmrc {
+
+namespace {
+
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+// A limit is passed, relative to the largest of 1 and itself, and a multiplier has the wrong sign,
+// relative to the gradient, by more than this; ten times more at each look at the working set, so
+// that limits that are active by a hair cannot be taken up and dropped for ever.
+constexpr double first_tolerance = 1e-13;
+constexpr int looks = 6;
+// A limit that the working set implies, but for this share, does not contradict it.
+constexpr double implied_tolerance = 1e-9;
+// Of the multipliers' rates: a smaller one is rounding, and holds nothing up.
+constexpr double least_rate = 1e-13;
+// Residual of the working set's equations, relative to the gradient, that needs no refinement.
+constexpr double resolution = 4e-15;
+constexpr int refinements = 5;
+
+double sign_of(Side side) { return side == Side::lower ? -1.0 : 1.0; }
+
+bool one_sided(Side side) { return side == Side::lower || side == Side::upper; }
+
+bool held(Side side) { return one_sided(side) || side == Side::both; }
+
+bool all_finite(const double* x, int n) { return std::isfinite(dot(x, x, n)); }
+
+double relative(double tolerance, double limit) {
+  return tolerance * std::max(1.0, std::abs(limit));
+}
+
+double largest(const double* x, int n) {
+  double found = 0.0;
+  for (int i = 0; i < n; ++i) found = std::max(found, std::abs(x[i]));
+  return found;
+}
+
+// The side on which a limit of the last working set can still be held.
+Side still(Side side, double lower, double upper) {
+  if (lower == upper) return Side::both;
+  if (side == Side::lower && lower > -infinity) return side;
+  if (side == Side::upper && upper < infinity) return side;
+  return Side::none;
+}
+
+}  // namespace
+
+QPSolver::QPSolver(int size, int max_rows, int max_equalities, int max_iterations)
+    : size_(size),
+      max_rows_(max_rows),
+      max_equalities_(max_equalities),
+      max_iterations_(max_iterations),
+      free_(size),
+      held_(size),
+      active_(size),
+      bound_side_(size, Side::none),
+      row_side_(max_rows + max_equalities, Side::none),
+      factor_(size),
+      basis_(size),
+      v_(size),
+      z_(size),
+      y_(size),
+      row_multiplier_(max_rows + max_equalities),
+      residual_(size),
+      misfit_(size),
+      dv_(size),
+      dz_(size),
+      dy_(size),
+      free_step_(size),
+      reduced_(size),
+      coefficients_(size) {}
+
+void QPSolver::forget() {
+  warm_ = false;
+  std::fill(bound_side_.begin(), bound_side_.end(), Side::none);
+  std::fill(row_side_.begin(), row_side_.end(), Side::none);
+}
+
+Status QPSolver::solve(const Program& program) {
+  program_ = &program;
+  iterations_ = 0;
+  if (program.rows != rows_ || program.equalities != equalities_) {
+    // The rows are others than those of the last working set.
+    std::fill(row_side_.begin(), row_side_.end(), Side::none);
+    rows_ = program.rows;
+    equalities_ = program.equalities;
+  }
+  Status status = Status::failed;
+  if (finite()) {
+    status = read_limits() ? run() : Status::infeasible;
+    if (status != Status::solved && warm_) {
+      // What rounding did on the way from an old working set says nothing about the program.
+      forget();
+      if (read_limits()) status = run();
+    }
+  }
+  warm_ = status == Status::solved;
+  if (!warm_) {
+    forget();
+    rest();
+  }
+  return status;
+}
+
+// Whether all numbers are finite, and no limit is NaN.
+bool QPSolver::finite() const {
+  const Program& p = *program_;
+  const int n = size_;
+  if (!all_finite(p.H, n * n) || !all_finite(p.g, n) || !all_finite(p.C, rows_ * n) ||
+      !all_finite(p.E, equalities_ * n) || !all_finite(p.f, equalities_)) {
+    return false;
+  }
+  bool known = true;
+  for (int i = 0; i < n; ++i) known &= p.lb[i] == p.lb[i] && p.ub[i] == p.ub[i];
+  for (int r = 0; r < rows_; ++r) known &= p.lo[r] == p.lo[r] && p.hi[r] == p.hi[r];
+  return known;
+}
+
+// Carry the sides of the last working set over to these limits; false if a pair contradicts itself.
+bool QPSolver::read_limits() {
+  const Program& p = *program_;
+  bool ordered = true;
+  for (int i = 0; i < size_; ++i) {
+    ordered &= p.lb[i] <= p.ub[i] && p.lb[i] < infinity && p.ub[i] > -infinity;
+    bound_side_[i] = still(bound_side_[i], p.lb[i], p.ub[i]);
+  }
+  for (int r = 0; r < rows_; ++r) {
+    ordered &= p.lo[r] <= p.hi[r] && p.lo[r] < infinity && p.hi[r] > -infinity;
+    row_side_[r] = still(row_side_[r], p.lo[r], p.hi[r]);
+  }
+  std::fill_n(row_side_.begin() + rows_, equalities_, Side::both);
+  return ordered;
+}
+
+Status QPSolver::run() {
+  factorize();
+  settle(true);
+  // A working set all of whose multipliers have the right sign is one that the dual method may
+  // start from; any other becomes one by releasing what holds v back from the optimum.
+  while (release_pushed_back(first_tolerance)) settle(false);
+  double tolerance = first_tolerance;
+  for (int look = 0; look < looks; ++look, tolerance *= 10.0) {
+    bool changed = false;
+    for (Limit limit; most_violated(tolerance, limit); changed = true) {
+      const Status status = enforce(limit);
+      if (status != Status::solved) return status;
+    }
+    if (!changed) break;
+    // What the steps have added up, solved at once.
+    settle(false);
+    while (release_pushed_back(tolerance)) settle(false);
+  }
+  write_multipliers();
+  const bool sound = all_finite(v_.data(), size_) && all_finite(z_.data(), size_) &&
+                     all_finite(y_.data(), active_count_);
+  return sound ? Status::solved : Status::failed;
+}
+
+// Factorize at the sides as they are: equalities first, so that of rows that depend on
+// each other it is those that stay. What finds no place is checked as any other limit.
+void QPSolver::factorize() {
+  free_count_ = held_count_ = active_count_ = 0;
+  for (int i = 0; i < size_; ++i) {
+    if (held(bound_side_[i])) {
+      held_[held_count_++] = i;
+    } else {
+      free_[free_count_++] = i;
+    }
+  }
+  factor_.factorize(program_->H, size_, free_.data(), free_count_);
+  for (const bool equality : {true, false}) {
+    for (int r = 0; r < rows_ + equalities_; ++r) {
+      if (!held(row_side_[r]) || equality != (row_side_[r] == Side::both)) continue;
+      if (active_count_ == free_count_) {
+        row_side_[r] = Side::none;
+        continue;
+      }
+      y_[active_count_] = 0.0;
+      active_[active_count_++] = r;
+    }
+  }
+  rebuild_basis();
+}
+
+// Bring the rows held into the basis anew, without those that depend on the ones before.
+void QPSolver::rebuild_basis() {
+  basis_.clear(free_count_);
+  int kept = 0;
+  for (int t = 0; t < active_count_; ++t) {
+    reduce(row(active_[t]), 1.0);
+    if (!basis_.project(reduced_.data(), coefficients_.data())) {
+      row_side_[active_[t]] = Side::none;
+      continue;
+    }
+    basis_.append(reduced_.data(), coefficients_.data(), 1.0);
+    active_[kept] = active_[t];
+    y_[kept++] = y_[t];
+  }
+  active_count_ = kept;
+}
+
+// Write L⁻¹(scale · a) on the free variables, or 0 where a is nothing but rounding there.
+void QPSolver::reduce(const double* a, double scale) {
+  for (int k = 0; k < free_count_; ++k) reduced_[k] = scale * a[free_[k]];
+  const double left = dot(reduced_.data(), reduced_.data(), free_count_);
+  if (left <= least_rate * least_rate * dot(a, a, size_)) {
+    std::fill_n(reduced_.begin(), free_count_, 0.0);
+  } else {
+    factor_.forward(reduced_.data());
+  }
+}
+
+// Solve the equations of the working set,
+//     H v + g + Kᵀy = 0 on the free variables,  v = its limit on the others,  K v = d,
+// from rest or from v and y as they are. Solving is refining: the same step from anywhere.
+void QPSolver::settle(bool from_rest) {
+  for (int k = 0; k < held_count_; ++k) v_[held_[k]] = bound_at(held_[k]);
+  if (from_rest) {
+    for (int k = 0; k < free_count_; ++k) v_[free_[k]] = 0.0;
+    std::fill_n(y_.begin(), active_count_, 0.0);
+    scale_ = std::numeric_limits<double>::min();
+  }
+  double before = infinity;
+  for (int k = 0; k <= refinements; ++k) {
+    const double size = residuals();
+    if (size <= resolution || size > 0.5 * before || k == refinements) break;
+    before = size;
+    correct();
+  }
+  for (int k = 0; k < held_count_; ++k) z_[held_[k]] = -residual_[held_[k]];
+}
+
+// Write the residuals of the working set's equations and return the largest, relative.
+double QPSolver::residuals() {
+  const Program& p = *program_;
+  double* residual = residual_.data();
+  std::copy_n(p.g, size_, residual);
+  for (int j = 0; j < size_; j += 4) {
+    const int count = std::min(4, size_ - j);
+    if (std::any_of(&v_[j], &v_[j] + count, [](double value) { return value != 0.0; })) {
+      add_combination(&v_[j], p.H + j * size_, size_, count, residual, size_);
+    }
+  }
+  double misfit = 0.0;
+  for (int t = 0; t < active_count_; ++t) {
+    const double* a = row(active_[t]);
+    if (y_[t] != 0.0) add_scaled(y_[t], a, residual, size_);
+    const double level = row_at(active_[t]);
+    misfit_[t] = level - dot(a, v_.data(), size_);
+    misfit = std::max(misfit, std::abs(misfit_[t]) / std::max(1.0, std::abs(level)));
+  }
+  scale_ = std::max({scale_, largest(p.g, size_), largest(residual, size_)});
+  double size = 0.0;
+  for (int k = 0; k < free_count_; ++k) size = std::max(size, std::abs(residual[free_[k]]));
+  return std::max(size / scale_, misfit);
+}
+
+// One step on the residuals. With x = Lᵀdv and the rows' own QR, L⁻¹Kᵀ = Q R:
+//     x + Q R dy = −L⁻¹r,  Rᵀ Qᵀx = misfit.
+void QPSolver::correct() {
+  for (int k = 0; k < free_count_; ++k) reduced_[k] = -residual_[free_[k]];
+  factor_.forward(reduced_.data());
+  if (active_count_ > 0) {
+    basis_.multiply_transposed(reduced_.data(), dy_.data());
+    basis_.solve_transposed(misfit_.data());
+    for (int t = 0; t < active_count_; ++t) dy_[t] -= misfit_[t];
+    basis_.subtract(dy_.data(), reduced_.data());
+    basis_.solve(dy_.data());
+    for (int t = 0; t < active_count_; ++t) y_[t] += dy_[t];
+  }
+  factor_.backward(reduced_.data());
+  for (int k = 0; k < free_count_; ++k) v_[free_[k]] += reduced_[k];
+}
+
+// Release every limit whose multiplier has the wrong sign; return whether there was one.
+bool QPSolver::release_pushed_back(double tolerance) {
+  const double least = -tolerance * scale_;
+  bool released = false;
+  for (int k = held_count_ - 1; k >= 0; --k) {
+    const Side side = bound_side_[held_[k]];
+    if (!one_sided(side) || sign_of(side) * z_[held_[k]] >= least) continue;
+    release_bound(k);
+    released = true;
+  }
+  for (int t = active_count_ - 1; t >= 0; --t) {
+    const Side side = row_side_[active_[t]];
+    if (!one_sided(side) || sign_of(side) * y_[t] >= least) continue;
+    release_row(t);
+    released = true;
+  }
+  if (released) rebuild_basis();
+  return released;
+}
+
+// Find the limit that v passes by most: among the bounds, and among the rows where all bounds hold.
+bool QPSolver::most_violated(double tolerance, Limit& found) const {
+  const Program& p = *program_;
+  double worst = 0.0;
+  const auto look_at = [&](bool is_bound, int index, double value, double lower, double upper) {
+    const double below = lower - value, above = value - upper;
+    if (below > std::max(worst, relative(tolerance, lower))) {
+      worst = below;
+      found = {is_bound, index, -1.0};
+    }
+    if (above > std::max(worst, relative(tolerance, upper))) {
+      worst = above;
+      found = {is_bound, index, 1.0};
+    }
+  };
+  for (int k = 0; k < free_count_; ++k) {
+    const int i = free_[k];
+    if (bound_side_[i] == Side::none) look_at(true, i, v_[i], p.lb[i], p.ub[i]);
+  }
+  if (worst > 0.0) return true;
+  for (int r = 0; r < rows_ + equalities_; ++r) {
+    if (row_side_[r] != Side::none) continue;
+    look_at(false, r, dot(row(r), v_.data(), size_), row_lower(r), row_upper(r));
+  }
+  return worst > 0.0;
+}
+
+// Raise the multiplier of a violated limit from 0 until the limit is met, releasing on the way
+// those whose own multipliers come down to 0. The dual objective grows with every step.
+Status QPSolver::enforce(const Limit& limit) {
+  double multiplier = 0.0;
+  while (iterations_ < max_iterations_) {
+    const bool independent = find_direction(limit);
+    const double excess = std::max(0.0, violation(limit));
+    const double whole = independent ? excess / curvature_ : infinity;
+    const Block block = first_block();
+    const double step = std::min(whole, block.step);
+    if (step == infinity) {
+      if (excess > relative(implied_tolerance, level(limit))) return Status::infeasible;
+      (limit.is_bound ? bound_side_ : row_side_)[limit.index] = Side::implied;
+      return Status::solved;
+    }
+    if (independent) {
+      for (int k = 0; k < free_count_; ++k) v_[free_[k]] += step * dv_[free_[k]];
+    }
+    for (int k = 0; k < held_count_; ++k) z_[held_[k]] += step * dz_[held_[k]];
+    for (int t = 0; t < active_count_; ++t) y_[t] += step * dy_[t];
+    multiplier += step * limit.sign;
+    if (whole <= block.step) {
+      if (limit.is_bound) {
+        hold_bound(limit, multiplier);
+        rebuild_basis();
+      } else {
+        hold_row(limit, multiplier);
+      }
+      return Status::solved;
+    }
+    if (block.is_bound) {
+      release_bound(block.position);
+    } else {
+      release_row(block.position);
+    }
+    rebuild_basis();
+  }
+  return Status::max_iter;
+}
+
+// Write what v, z and y change by for each unit of the limit's multiplier, in the direction that
+// keeps the working set's equations; return whether v can change at all. With sign · a the limit's
+// own gradient, u = −L⁻¹(sign · a) on the free variables, and u = Q c + rest:
+//     dv = L⁻ᵀ rest,  dy = R⁻¹c,  dz = −(H dv + Kᵀdy + sign · a) on the variables held.
+bool QPSolver::find_direction(const Limit& limit) {
+  if (limit.is_bound) {
+    const int position = place_of(limit.index);
+    std::fill_n(reduced_.begin(), free_count_, 0.0);
+    reduced_[position] = -limit.sign;
+    factor_.forward(reduced_.data(), position);
+  } else {
+    reduce(row(limit.index), -limit.sign);
+  }
+  const bool independent = basis_.project(reduced_.data(), coefficients_.data());
+  curvature_ = dot(reduced_.data(), reduced_.data(), free_count_);
+  std::copy_n(coefficients_.begin(), active_count_, dy_.begin());
+  basis_.solve(dy_.data());
+  std::fill(dv_.begin(), dv_.end(), 0.0);
+  if (independent) {
+    std::copy_n(reduced_.begin(), free_count_, free_step_.begin());
+    factor_.backward(free_step_.data());
+    for (int k = 0; k < free_count_; ++k) dv_[free_[k]] = free_step_[k];
+  }
+  for (int k = 0; k < held_count_; ++k) {
+    const int i = held_[k];
+    double change = dot(program_->H + i * size_, dv_.data(), size_);
+    for (int t = 0; t < active_count_; ++t) change += dy_[t] * row(active_[t])[i];
+    if (!limit.is_bound) change += limit.sign * row(limit.index)[i];
+    dz_[i] = -change;
+  }
+  return independent;
+}
+
+// Return the step at which the first multiplier comes down to 0, and whose it is.
+QPSolver::Block QPSolver::first_block() const {
+  double fastest = 1.0;
+  for (int k = 0; k < held_count_; ++k) fastest = std::max(fastest, std::abs(dz_[held_[k]]));
+  for (int t = 0; t < active_count_; ++t) fastest = std::max(fastest, std::abs(dy_[t]));
+  Block first{infinity, true, 0};
+  const auto look_at = [&](bool is_bound, int position, Side side, double value, double rate) {
+    if (!one_sided(side) || sign_of(side) * rate >= -least_rate * fastest) return;
+    const double step = std::max(0.0, -value / rate);
+    if (step < first.step) first = {step, is_bound, position};
+  };
+  for (int k = 0; k < held_count_; ++k) {
+    look_at(true, k, bound_side_[held_[k]], z_[held_[k]], dz_[held_[k]]);
+  }
+  for (int t = 0; t < active_count_; ++t) {
+    look_at(false, t, row_side_[active_[t]], y_[t], dy_[t]);
+  }
+  return first;
+}
+
+// Return the place of a variable among the free ones, which it is one of.
+int QPSolver::place_of(int i) const {
+  return static_cast<int>(std::find(free_.begin(), free_.end(), i) - free_.begin());
+}
+
+double QPSolver::level(const Limit& limit) const {
+  const Program& p = *program_;
+  if (limit.is_bound) return limit.sign > 0.0 ? p.ub[limit.index] : p.lb[limit.index];
+  return limit.sign > 0.0 ? row_upper(limit.index) : row_lower(limit.index);
+}
+
+double QPSolver::violation(const Limit& limit) const {
+  const double value =
+      limit.is_bound ? v_[limit.index] : dot(row(limit.index), v_.data(), size_);
+  return limit.sign * (value - level(limit));
+}
+
+void QPSolver::hold_bound(const Limit& limit, double multiplier) {
+  const int i = limit.index;
+  const int place = place_of(i);
+  factor_.remove(place);
+  std::copy(free_.begin() + place + 1, free_.begin() + free_count_, free_.begin() + place);
+  --free_count_;
+  held_[held_count_++] = i;
+  bound_side_[i] = limit.sign > 0.0 ? Side::upper : Side::lower;
+  v_[i] = level(limit);
+  z_[i] = multiplier;
+  ++iterations_;
+}
+
+// Hold a row, whose direction `find_direction` has left in the reduced coordinates.
+void QPSolver::hold_row(const Limit& limit, double multiplier) {
+  basis_.append(reduced_.data(), coefficients_.data(), -limit.sign);
+  const bool equal = row_lower(limit.index) == row_upper(limit.index);
+  row_side_[limit.index] = equal ? Side::both : limit.sign > 0.0 ? Side::upper : Side::lower;
+  y_[active_count_] = multiplier;
+  active_[active_count_++] = limit.index;
+  ++iterations_;
+}
+
+void QPSolver::release_bound(int position) {
+  const int i = held_[position];
+  held_[position] = held_[--held_count_];
+  const double* column = program_->H + i * size_;
+  for (int k = 0; k < free_count_; ++k) reduced_[k] = column[free_[k]];
+  factor_.append(reduced_.data(), column[i]);
+  free_[free_count_++] = i;
+  bound_side_[i] = Side::none;
+  z_[i] = 0.0;
+  ++iterations_;
+}
+
+void QPSolver::release_row(int position) {
+  row_side_[active_[position]] = Side::none;
+  std::copy(active_.begin() + position + 1, active_.begin() + active_count_,
+            active_.begin() + position);
+  std::copy(y_.begin() + position + 1, y_.begin() + active_count_, y_.begin() + position);
+  --active_count_;
+  ++iterations_;
+}
+
+// Spread the multipliers of the working set over all limits; a sign wrong by a hair becomes 0.
+void QPSolver::write_multipliers() {
+  for (int k = 0; k < free_count_; ++k) z_[free_[k]] = 0.0;
+  for (int k = 0; k < held_count_; ++k) {
+    const Side side = bound_side_[held_[k]];
+    double& value = z_[held_[k]];
+    if (one_sided(side) && sign_of(side) * value < 0.0) value = 0.0;
+  }
+  std::fill_n(row_multiplier_.begin(), rows_ + equalities_, 0.0);
+  for (int t = 0; t < active_count_; ++t) {
+    const Side side = row_side_[active_[t]];
+    const bool wrong = one_sided(side) && sign_of(side) * y_[t] < 0.0;
+    row_multiplier_[active_[t]] = wrong ? 0.0 : y_[t];
+  }
+}
+
+void QPSolver::rest() {
+  std::fill(v_.begin(), v_.end(), 0.0);
+  std::fill(z_.begin(), z_.end(), 0.0);
+  std::fill_n(row_multiplier_.begin(), rows_ + equalities_, 0.0);
+}
+
+}  // namespace rmrc
