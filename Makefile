@@ -5,13 +5,16 @@ BIN := $(VENV)/bin
 
 .PHONY: demo test test-slow lint bench schema clean
 
-# The stamp is newer than pyproject.toml when the environment has what the project asks for.
-$(VENV)/demo.stamp: pyproject.toml
+# What the extension is built from.
+NATIVE := $(wildcard native/*.cpp native/*.hpp native/CMakeLists.txt)
+
+# The stamp is newer than these files when the environment has what the project asks for.
+$(VENV)/demo.stamp: pyproject.toml $(NATIVE)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable '.[menagerie,render]'
 	touch $@
 
-$(VENV)/test.stamp: pyproject.toml
+$(VENV)/test.stamp: pyproject.toml $(NATIVE)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable '.[menagerie,render,test]'
 	touch $@

@@ -10,8 +10,9 @@ namespace rmrc {
 
 Cholesky::Cholesky(int capacity)
     : stride_((capacity + 3) / 4 * 4),
-      factor_(static_cast<std::size_t>(stride_) * capacity),
-      inverse_diagonal_(capacity),
+      factor_(static_cast<std::size_t>(stride_) * stride_),
+      diagonal_(stride_),
+      inverse_diagonal_(stride_),
       work_(capacity) {}
 
 double Cholesky::inverse_root(double pivot, double diagonal) const {
@@ -21,18 +22,68 @@ double Cholesky::inverse_root(double pivot, double diagonal) const {
 
 void Cholesky::factorize(const double* H, int stride, const int* index, int size) {
   size_ = size;
-  for (int j = 0; j < size; ++j) {
+  const int padded = (size + 3) / 4 * 4;  // to whole tiles, with ones on the diagonal
+  for (int j = 0; j < padded; ++j) {
     double* own = column(j);
-    const double* row = H + index[j] * stride;
-    for (int i = j; i < size; ++i) own[i] = row[index[i]];
-    const double diagonal = own[j];
-    // Row j of the columns before, negated: what this column takes of each.
-    for (int k = 0; k < j; ++k) work_[k] = -column(k)[j];
-    add_combination(work_.data(), factor_.data() + j, stride_, j, own + j, size - j);
-    const double inverse = inverse_root(own[j], diagonal);
-    inverse_diagonal_[j] = inverse;
-    own[j] = 1.0 / inverse;
-    for (int i = j + 1; i < size; ++i) own[i] *= inverse;
+    std::fill(own + j / 4 * 4, own + j, 0.0);
+    if (j < size) {
+      const double* row = H + index[j] * stride;
+      for (int i = j; i < size; ++i) own[i] = row[index[i]];
+    }
+    std::fill(own + std::max(j, size), own + padded, 0.0);
+    if (j >= size) own[j] = 1.0;
+    diagonal_[j] = own[j];
+  }
+  for (int j = 0; j < padded; j += 4) {
+    for (int i = j; i < padded; i += 4) {
+      subtract_products(i, j);
+      if (i == j) {
+        factorize_tile(j);
+      } else {
+        solve_tile(i, j);
+      }
+    }
+  }
+}
+
+// The tile of rows i and columns j, four each, minus the products of the columns before.
+void Cholesky::subtract_products(int i, int j) {
+  Quad sums[4];
+  for (int c = 0; c < 4; ++c) sums[c] = load(column(j + c) + i);
+  const double* left = factor_.data();
+  for (int k = 0; k < j; ++k, left += stride_) {
+    const Quad rows = load(left + i);
+    for (int c = 0; c < 4; ++c) sums[c] -= left[j + c] * rows;
+  }
+  for (int c = 0; c < 4; ++c) store(sums[c], column(j + c) + i);
+}
+
+// The tile on the diagonal becomes its own factor.
+void Cholesky::factorize_tile(int j) {
+  for (int c = j; c < j + 4; ++c) {
+    double* own = column(c);
+    const double diagonal = diagonal_[c];
+    double pivot = own[c];
+    for (int k = j; k < c; ++k) pivot -= column(k)[c] * column(k)[c];
+    const double inverse = inverse_root(pivot, diagonal);
+    inverse_diagonal_[c] = inverse;
+    own[c] = 1.0 / inverse;
+    for (int i = c + 1; i < j + 4; ++i) {
+      double value = own[i];
+      for (int k = j; k < c; ++k) value -= column(k)[i] * column(k)[c];
+      own[i] = value * inverse;
+    }
+  }
+}
+
+// A tile below the diagonal is divided by the factor of the tile on it.
+void Cholesky::solve_tile(int i, int j) {
+  Quad solved[4];
+  for (int c = 0; c < 4; ++c) {
+    Quad value = load(column(j + c) + i);
+    for (int k = 0; k < c; ++k) value -= column(j + k)[j + c] * solved[k];
+    solved[c] = value * inverse_diagonal_[j + c];
+    store(solved[c], column(j + c) + i);
   }
 }
 
@@ -75,16 +126,36 @@ void Cholesky::remove(int position) {
 }
 
 void Cholesky::forward(double* x, int from) const {
-  for (int j = from; j < size_; ++j) {
+  int j = from / 4 * 4;
+  for (; j + 4 <= size_; j += 4) {
+    double taken[4];
+    for (int c = j; c < j + 4; ++c) {
+      for (int k = j; k < c; ++k) x[c] -= x[k] * column(k)[c];
+      x[c] *= inverse_diagonal_[c];
+      taken[c - j] = -x[c];
+    }
+    add_four_scaled(taken, column(j) + j + 4, stride_, x + j + 4, size_ - j - 4);
+  }
+  for (; j < size_; ++j) {
     x[j] *= inverse_diagonal_[j];
     add_scaled(-x[j], column(j) + j + 1, x + j + 1, size_ - j - 1);
   }
 }
 
 void Cholesky::backward(double* x) const {
-  for (int j = size_ - 1; j >= 0; --j) {
+  int j = size_ - 1;
+  for (; j >= size_ / 4 * 4; --j) {
     const double known = dot(column(j) + j + 1, x + j + 1, size_ - j - 1);
     x[j] = (x[j] - known) * inverse_diagonal_[j];
+  }
+  for (j -= 3; j >= 0; j -= 4) {
+    double known[4];
+    four_dots(column(j) + j + 4, stride_, x + j + 4, size_ - j - 4, known);
+    for (int c = j + 3; c >= j; --c) {
+      double value = x[c] - known[c - j];
+      for (int i = c + 1; i < j + 4; ++i) value -= column(c)[i] * x[i];
+      x[c] = value * inverse_diagonal_[c];
+    }
   }
 }
 

@@ -36,12 +36,17 @@ class Cholesky {
   double* column(int j) { return factor_.data() + j * stride_; }
   const double* column(int j) const { return factor_.data() + j * stride_; }
 
+  void subtract_products(int i, int j);
+  void factorize_tile(int j);
+  void solve_tile(int i, int j);
+
   /// Return 1/√pivot, of a pivot that is at least what `diagonal` can resolve.
   double inverse_root(double pivot, double diagonal) const;
 
   int stride_;
   int size_ = 0;
   std::vector<double> factor_;
+  std::vector<double> diagonal_;          // of A, as `factorize` has found it
   std::vector<double> inverse_diagonal_;  // 1/Lⱼⱼ: a division costs ten multiplications
   std::vector<double> work_;
 };

@@ -72,9 +72,19 @@ nb::tuple solve(rmrc::QPSolver& solver, const Matrix& H, const Vector& g, const 
                         solver.iterations(), name(status));
 }
 
+// Whether this machine has the instructions that the solver is compiled to.
+bool runs_here() {
+#ifdef RMRC_AVX2
+  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+#else
+  return true;
+#endif
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
+  if (!runs_here()) throw nb::import_error("rmrc._native needs a processor with AVX2 and FMA");
   m.doc() = "What rmrc does in C++.";
   nb::class_<rmrc::QPSolver>(
       m, "QPSolver", "A dual active-set solver of quadratic programs, which starts warm.")

@@ -13,16 +13,18 @@ namespace {
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 // A limit is passed, relative to the largest of 1 and itself, and a multiplier has the wrong sign,
-// relative to the gradient, by more than this; ten times more at each look at the working set, so
-// that limits that are active by a hair cannot be taken up and dropped for ever.
+// relative to the terms of the gradient, by more than this; ten times more at each look at the
+// working set, so that limits active by a hair cannot be taken up and dropped for ever.
 constexpr double first_tolerance = 1e-13;
 constexpr int looks = 6;
 // A limit that the working set implies, but for this share, does not contradict it.
 constexpr double implied_tolerance = 1e-9;
+// What the rates of a proof of infeasibility may miss, relative to the limit's own gradient.
+constexpr double balance_tolerance = 1e-10;
 // Of the multipliers' rates: a smaller one is rounding, and holds nothing up.
 constexpr double least_rate = 1e-13;
-// Residual of the working set's equations, relative to the gradient, that needs no refinement.
-constexpr double resolution = 4e-15;
+// Residual of the working set's equations, relative to their terms, that needs no refinement.
+constexpr double resolution = 16.0 * std::numeric_limits<double>::epsilon();
 constexpr int refinements = 5;
 
 double sign_of(Side side) { return side == Side::lower ? -1.0 : 1.0; }
@@ -226,7 +228,12 @@ void QPSolver::settle(bool from_rest) {
   if (from_rest) {
     for (int k = 0; k < free_count_; ++k) v_[free_[k]] = 0.0;
     std::fill_n(y_.begin(), active_count_, 0.0);
-    scale_ = std::numeric_limits<double>::min();
+    gradient_ = std::numeric_limits<double>::min();
+    steepest_ = 0.0;
+    for (int i = 0; i < size_; ++i) {
+      gradient_ = std::max(gradient_, std::abs(program_->g[i]));
+      steepest_ = std::max(steepest_, program_->H[i * size_ + i]);
+    }
   }
   double before = infinity;
   for (int k = 0; k <= refinements; ++k) {
@@ -243,11 +250,14 @@ double QPSolver::residuals() {
   const Program& p = *program_;
   double* residual = residual_.data();
   std::copy_n(p.g, size_, residual);
-  for (int j = 0; j < size_; j += 4) {
-    const int count = std::min(4, size_ - j);
-    if (std::any_of(&v_[j], &v_[j] + count, [](double value) { return value != 0.0; })) {
-      add_combination(&v_[j], p.H + j * size_, size_, count, residual, size_);
-    }
+  int j = 0;
+  for (; j + 4 <= size_; j += 4) {
+    const double* four = v_.data() + j;
+    const bool any = four[0] != 0.0 || four[1] != 0.0 || four[2] != 0.0 || four[3] != 0.0;
+    if (any) add_four_scaled(four, p.H + j * size_, size_, residual, size_);
+  }
+  for (; j < size_; ++j) {
+    if (v_[j] != 0.0) add_scaled(v_[j], p.H + j * size_, residual, size_);
   }
   double misfit = 0.0;
   for (int t = 0; t < active_count_; ++t) {
@@ -257,7 +267,7 @@ double QPSolver::residuals() {
     misfit_[t] = level - dot(a, v_.data(), size_);
     misfit = std::max(misfit, std::abs(misfit_[t]) / std::max(1.0, std::abs(level)));
   }
-  scale_ = std::max({scale_, largest(p.g, size_), largest(residual, size_)});
+  scale_ = std::max(gradient_, steepest_ * largest(v_.data(), size_));
   double size = 0.0;
   for (int k = 0; k < free_count_; ++k) size = std::max(size, std::abs(residual[free_[k]]));
   return std::max(size / scale_, misfit);
@@ -338,7 +348,9 @@ Status QPSolver::enforce(const Limit& limit) {
     const Block block = first_block();
     const double step = std::min(whole, block.step);
     if (step == infinity) {
-      if (excess > relative(implied_tolerance, level(limit))) return Status::infeasible;
+      if (excess > relative(implied_tolerance, level(limit))) {
+        return contradicted(limit) ? Status::infeasible : Status::failed;
+      }
       (limit.is_bound ? bound_side_ : row_side_)[limit.index] = Side::implied;
       return Status::solved;
     }
@@ -398,6 +410,20 @@ bool QPSolver::find_direction(const Limit& limit) {
     dz_[i] = -change;
   }
   return independent;
+}
+
+// Whether the direction proves that no v meets the limit and the working set: the multipliers'
+// rates balance on every variable, sign · a + Kᵀdy + dz = 0, but for rounding (Farkas).
+bool QPSolver::contradicted(const Limit& limit) const {
+  for (int k = 0; k < free_count_; ++k) {
+    const int i = free_[k];
+    double left = limit.is_bound ? (i == limit.index ? limit.sign : 0.0)
+                                 : limit.sign * row(limit.index)[i];
+    const double most = relative(balance_tolerance, left);
+    for (int t = 0; t < active_count_; ++t) left += dy_[t] * row(active_[t])[i];
+    if (std::abs(left) > most) return false;
+  }
+  return true;
 }
 
 // Return the step at which the first multiplier comes down to 0, and whose it is.

@@ -101,6 +101,7 @@ class QPSolver {
   bool most_violated(double tolerance, Limit& found) const;
   Status enforce(const Limit& limit);
   bool find_direction(const Limit& limit);
+  bool contradicted(const Limit& limit) const;
   Block first_block() const;
   int place_of(int i) const;
   double level(const Limit& limit) const;
@@ -139,7 +140,8 @@ class QPSolver {
   std::vector<double> v_, z_, y_;  // y of the rows held, in their order
   std::vector<double> row_multiplier_;
   std::vector<double> residual_, misfit_;  // of stationarity (n) and of the rows held
-  double scale_ = 0.0;                     // what multipliers are measured by
+  double gradient_ = 0.0, steepest_ = 0.0;  // the largest of g, and of H
+  double scale_ = 0.0;  // of the terms of H v + g, what residuals and multipliers are measured by
 
   // The step towards a limit: what v, z and y change by for each unit of its multiplier.
   std::vector<double> dv_, dz_, dy_, free_step_, reduced_, coefficients_;
