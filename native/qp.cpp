@@ -145,20 +145,28 @@ bool QPSolver::read_limits() {
 Status QPSolver::run() {
   factorize();
   settle(true);
-  // A working set all of whose multipliers have the right sign is one that the dual method may
-  // start from; any other becomes one by releasing what holds v back from the optimum.
-  while (release_pushed_back(first_tolerance)) settle(false);
   double tolerance = first_tolerance;
+  release_pushed_back(tolerance);
+  bool settled = true;  // whether v solves the working set's equations, but for rounding
   for (int look = 0; look < looks; ++look, tolerance *= 10.0) {
     bool changed = false;
     for (Limit limit; most_violated(tolerance, limit); changed = true) {
       const Status status = enforce(limit);
-      if (status != Status::solved) return status;
+      if (status == Status::solved) {
+        settled = false;
+      } else if (settled || status == Status::max_iter) {
+        return status;
+      } else {
+        // What the steps before have added up to is no proof of a contradiction.
+        settle(false);
+        release_pushed_back(tolerance);
+        settled = true;
+      }
     }
     if (!changed) break;
-    // What the steps have added up, solved at once.
     settle(false);
-    while (release_pushed_back(tolerance)) settle(false);
+    release_pushed_back(tolerance);
+    settled = true;
   }
   write_multipliers();
   const bool sound = all_finite(v_.data(), size_) && all_finite(z_.data(), size_) &&
@@ -290,24 +298,29 @@ void QPSolver::correct() {
   for (int k = 0; k < free_count_; ++k) v_[free_[k]] += reduced_[k];
 }
 
-// Release every limit whose multiplier has the wrong sign; return whether there was one.
-bool QPSolver::release_pushed_back(double tolerance) {
-  const double least = -tolerance * scale_;
-  bool released = false;
-  for (int k = held_count_ - 1; k >= 0; --k) {
-    const Side side = bound_side_[held_[k]];
-    if (!one_sided(side) || sign_of(side) * z_[held_[k]] >= least) continue;
-    release_bound(k);
-    released = true;
+// Release every limit whose multiplier has the wrong sign, for it holds v back from the optimum,
+// until none has: a working set that the dual method may start from.
+void QPSolver::release_pushed_back(double tolerance) {
+  for (bool released = true; released;) {
+    const double least = -tolerance * scale_;
+    released = false;
+    for (int k = held_count_ - 1; k >= 0; --k) {
+      const Side side = bound_side_[held_[k]];
+      if (!one_sided(side) || sign_of(side) * z_[held_[k]] >= least) continue;
+      release_bound(k);
+      released = true;
+    }
+    for (int t = active_count_ - 1; t >= 0; --t) {
+      const Side side = row_side_[active_[t]];
+      if (!one_sided(side) || sign_of(side) * y_[t] >= least) continue;
+      release_row(t);
+      released = true;
+    }
+    if (released) {
+      rebuild_basis();
+      settle(false);
+    }
   }
-  for (int t = active_count_ - 1; t >= 0; --t) {
-    const Side side = row_side_[active_[t]];
-    if (!one_sided(side) || sign_of(side) * y_[t] >= least) continue;
-    release_row(t);
-    released = true;
-  }
-  if (released) rebuild_basis();
-  return released;
 }
 
 // Find the limit that v passes by most: among the bounds, and among the rows where all bounds hold.

@@ -97,7 +97,7 @@ class QPSolver {
   double residuals();
   void correct();
 
-  bool release_pushed_back(double tolerance);
+  void release_pushed_back(double tolerance);
   bool most_violated(double tolerance, Limit& found) const;
   Status enforce(const Limit& limit);
   bool find_direction(const Limit& limit);
