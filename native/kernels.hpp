@@ -51,8 +51,9 @@ inline void add_four_scaled(const double* a, const double* x, int stride, double
   const double a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
   int i = 0;
   for (; i + 4 <= n; i += 4) {
-    const Quad sum = (a0 * load(x0 + i) + a1 * load(x1 + i)) + (a2 * load(x2 + i) + a3 * load(x3 + i));
-    store(load(y + i) + sum, y + i);
+    const Quad first = a0 * load(x0 + i) + a1 * load(x1 + i);
+    const Quad second = a2 * load(x2 + i) + a3 * load(x3 + i);
+    store(load(y + i) + (first + second), y + i);
   }
   for (; i < n; ++i) y[i] += (a0 * x0[i] + a1 * x1[i]) + (a2 * x2[i] + a3 * x3[i]);
 }

@@ -33,6 +33,11 @@ bool one_sided(Side side) { return side == Side::lower || side == Side::upper; }
 
 bool held(Side side) { return one_sided(side) || side == Side::both; }
 
+// Whether a multiplier is smaller than −least on the side that its limit acts on.
+bool points_back(Side side, double multiplier, double least = 0.0) {
+  return one_sided(side) && sign_of(side) * multiplier < -least;
+}
+
 bool all_finite(const double* x, int n) { return std::isfinite(dot(x, x, n)); }
 
 double relative(double tolerance, double limit) {
@@ -163,12 +168,25 @@ Status QPSolver::run() {
         settled = true;
       }
     }
-    if (!changed) break;
+    if (!changed) return finish();
     settle(false);
     release_pushed_back(tolerance);
     settled = true;
   }
-  write_multipliers();
+  return Status::max_iter;
+}
+
+// Spread the multipliers of the working set over all limits; a sign wrong by a hair becomes 0.
+Status QPSolver::finish() {
+  for (int k = 0; k < free_count_; ++k) z_[free_[k]] = 0.0;
+  for (int k = 0; k < held_count_; ++k) {
+    double& value = z_[held_[k]];
+    if (points_back(bound_side_[held_[k]], value)) value = 0.0;
+  }
+  std::fill_n(row_multiplier_.begin(), rows_ + equalities_, 0.0);
+  for (int t = 0; t < active_count_; ++t) {
+    if (!points_back(row_side_[active_[t]], y_[t])) row_multiplier_[active_[t]] = y_[t];
+  }
   const bool sound = all_finite(v_.data(), size_) && all_finite(z_.data(), size_) &&
                      all_finite(y_.data(), active_count_);
   return sound ? Status::solved : Status::failed;
@@ -302,17 +320,15 @@ void QPSolver::correct() {
 // until none has: a working set that the dual method may start from.
 void QPSolver::release_pushed_back(double tolerance) {
   for (bool released = true; released;) {
-    const double least = -tolerance * scale_;
+    const double least = tolerance * scale_;
     released = false;
     for (int k = held_count_ - 1; k >= 0; --k) {
-      const Side side = bound_side_[held_[k]];
-      if (!one_sided(side) || sign_of(side) * z_[held_[k]] >= least) continue;
+      if (!points_back(bound_side_[held_[k]], z_[held_[k]], least)) continue;
       release_bound(k);
       released = true;
     }
     for (int t = active_count_ - 1; t >= 0; --t) {
-      const Side side = row_side_[active_[t]];
-      if (!one_sided(side) || sign_of(side) * y_[t] >= least) continue;
+      if (!points_back(row_side_[active_[t]], y_[t], least)) continue;
       release_row(t);
       released = true;
     }
@@ -327,25 +343,28 @@ void QPSolver::release_pushed_back(double tolerance) {
 bool QPSolver::most_violated(double tolerance, Limit& found) const {
   const Program& p = *program_;
   double worst = 0.0;
-  const auto look_at = [&](bool is_bound, int index, double value, double lower, double upper) {
+  const auto look_at = [&](Side side, bool is_bound, int index, double value, double lower,
+                           double upper) {
     const double below = lower - value, above = value - upper;
-    if (below > std::max(worst, relative(tolerance, lower))) {
+    const double allowed = side == Side::implied ? implied_tolerance : tolerance;
+    if (below > std::max(worst, relative(allowed, lower))) {
       worst = below;
       found = {is_bound, index, -1.0};
     }
-    if (above > std::max(worst, relative(tolerance, upper))) {
+    if (above > std::max(worst, relative(allowed, upper))) {
       worst = above;
       found = {is_bound, index, 1.0};
     }
   };
   for (int k = 0; k < free_count_; ++k) {
     const int i = free_[k];
-    if (bound_side_[i] == Side::none) look_at(true, i, v_[i], p.lb[i], p.ub[i]);
+    look_at(bound_side_[i], true, i, v_[i], p.lb[i], p.ub[i]);
   }
   if (worst > 0.0) return true;
   for (int r = 0; r < rows_ + equalities_; ++r) {
-    if (row_side_[r] != Side::none) continue;
-    look_at(false, r, dot(row(r), v_.data(), size_), row_lower(r), row_upper(r));
+    if (held(row_side_[r])) continue;
+    const double activity = dot(row(r), v_.data(), size_);
+    look_at(row_side_[r], false, r, activity, row_lower(r), row_upper(r));
   }
   return worst > 0.0;
 }
@@ -518,22 +537,6 @@ void QPSolver::release_row(int position) {
   std::copy(y_.begin() + position + 1, y_.begin() + active_count_, y_.begin() + position);
   --active_count_;
   ++iterations_;
-}
-
-// Spread the multipliers of the working set over all limits; a sign wrong by a hair becomes 0.
-void QPSolver::write_multipliers() {
-  for (int k = 0; k < free_count_; ++k) z_[free_[k]] = 0.0;
-  for (int k = 0; k < held_count_; ++k) {
-    const Side side = bound_side_[held_[k]];
-    double& value = z_[held_[k]];
-    if (one_sided(side) && sign_of(side) * value < 0.0) value = 0.0;
-  }
-  std::fill_n(row_multiplier_.begin(), rows_ + equalities_, 0.0);
-  for (int t = 0; t < active_count_; ++t) {
-    const Side side = row_side_[active_[t]];
-    const bool wrong = one_sided(side) && sign_of(side) * y_[t] < 0.0;
-    row_multiplier_[active_[t]] = wrong ? 0.0 : y_[t];
-  }
 }
 
 void QPSolver::rest() {

@@ -89,6 +89,7 @@ class QPSolver {
   bool finite() const;
   bool read_limits();
   Status run();
+  Status finish();
   void factorize();
   void rebuild_basis();
   void reduce(const double* a, double scale);
@@ -110,7 +111,6 @@ class QPSolver {
   void hold_row(const Limit& limit, double multiplier);
   void release_bound(int position);
   void release_row(int position);
-  void write_multipliers();
   void rest();
 
   const double* row(int r) const {

@@ -16,9 +16,6 @@ class RowBasis {
   /// Start anew, with vectors of `size` elements.
   void clear(int size);
 
-  /// Forget all vectors from number `count` on.
-  void truncate(int count) { count_ = count; }
-
   /// Split u = Q c + rest: leave the rest in u and write c (count).
   ///
   /// Return whether the rest is more than rounding, that is, u depends on no vectors of the basis.
