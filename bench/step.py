@@ -22,7 +22,7 @@ import numpy as np
 import qpsolvers
 
 import rmrc
-from rmrc.problem.compile import HINGE_SPEED
+from rmrc.problem.limits.joints import HINGE_SPEED
 from rmrc.problem.problem import Problem
 
 REPOSITORY = Path(__file__).resolve().parent.parent

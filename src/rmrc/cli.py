@@ -282,6 +282,24 @@ def report(
 
 
 @app.command()
+def why(
+    run: RunPath,
+    step: Annotated[
+        int | None,
+        typer.Option(help="The step; by default the first of the most severe status."),
+    ] = None,
+) -> None:
+    """Say why a step of a run is what it is: what binds, and what would help."""
+    from rmrc.control.why import why as explain_step
+    from rmrc.record.run import Run
+
+    loaded = Run.load(run)
+    number, explanation = explain_step(loaded, step)
+    print(f"step {number} at {loaded.time[number]:.4g} s")
+    print(explanation)
+
+
+@app.command()
 def render(
     run: RunPath,
     out: Annotated[Path, typer.Option("--out", "-o", help="A .png or .gif file.")],

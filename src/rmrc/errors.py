@@ -2,10 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from itertools import islice
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rmrc.config.mistakes import Mistake
+
+MOST_COMPARED = 200
+"""Known names that a wrong one is compared with: alike names take difflib a millisecond each."""
 
 
 class RmrcError(Exception):
@@ -29,7 +33,8 @@ class SolverError(RmrcError):
 
 def suggestion(wrong: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the nearest known name, or an empty string."""
-    close = get_close_matches(wrong, [name for name in known if name], n=1, cutoff=0.6)
+    names = [name for name in islice(known, MOST_COMPARED) if name]
+    close = get_close_matches(wrong, names, n=1, cutoff=0.6)
     return f"; did you mean '{close[0]}'?" if close else ""
 
 

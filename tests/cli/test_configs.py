@@ -23,11 +23,22 @@ SHIPPED = {
     "biped_balance",
     "menagerie_panda",
     "menagerie_g1",
+    "menagerie_shadow",
+    "four_bar",
+    "dual_arm_collision",
+    "panda_obstacle",
     "panda_actuated",
     "compare_singular",
     "compare_redundant",
     "compare_limits",
     "compare_line",
+}
+# Their targets leave what the robot can reach, for a while.
+BY_DESIGN = {
+    "compare_limits": {"STUCK"},
+    "compare_singular": {"STUCK"},
+    "dual_arm_collision": {"STUCK"},
+    "panda_obstacle": {"STUCK"},
 }
 
 
@@ -60,7 +71,7 @@ def test_it_solves_on_the_command_line(config_path: Path, tmp_path: Path) -> Non
     assert len(run.time) == summary["steps"]
     assert np.isfinite(run.v).all()
     assert run.kkt.max() < 1e-6
-    assert set(summary["status"]) <= {"OK", "LIMITED"}
+    assert set(summary["status"]) <= {"OK", "LIMITED"} | BY_DESIGN.get(config_path.stem, set())
 
 
 def test_the_same_config_gives_the_same_arrays_bit_for_bit() -> None:

@@ -188,3 +188,29 @@ def test_bounded_dls_is_optimal_at_small_damping(shape, number, damping) -> None
     gradient[(v == lower) & (gradient > 0.0)] = 0.0
     gradient[(v == upper) & (gradient < 0.0)] = 0.0
     assert abs(gradient).max() <= EXACT * max(1.0, abs(J.T @ xdot).max())
+
+
+@seed(0)
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from(SHAPES), st.integers(0, 2**31), st.floats(0.05, 5.0))
+def test_the_multipliers_are_those_of_the_limits_in_the_way(shape, number, reach) -> None:
+    J, xdot, lower, upper = box_task(shape, number, reach)
+    v, scale, z = reference.saturate(J, xdot, lower, upper)
+    assert scale == pytest.approx(share(J, xdot, v), abs=EXACT)
+    np.testing.assert_allclose(v[z > 0.0], upper[z > 0.0], rtol=EXACT)
+    np.testing.assert_allclose(v[z < 0.0], lower[z < 0.0], rtol=EXACT)
+    if scale == 1.0:  # v + Jᵀλ + z = 0 for some λ
+        rest = v + z
+        rest -= np.linalg.pinv(J) @ (J @ rest)
+        assert abs(rest).max() <= EXACT * max(1.0, abs(z).max())
+    else:
+        assert z.any()
+
+
+def test_where_the_task_is_slowed_the_multiplier_says_what_a_limit_is_worth() -> None:
+    # J = diag(2, 1) and ẋ = (4, 1): joint 1 at its limit of 1 rad/s holds s at 1/2.
+    v, scale, z = reference.saturate(np.diag([2.0, 1.0]), [4.0, 1.0], -1.0, [1.0, 3.0])
+    assert scale == 0.5
+    assert v.tolist() == [1.0, 0.5]
+    assert z == pytest.approx([0.5, 0.0], abs=EXACT)  # s = limit/2
+    assert not reference.saturate(np.eye(2), [1.0, -1.0], -1.0, 1.0).multiplier.any()

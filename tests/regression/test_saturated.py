@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given
+from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 from robots import (
     Moment,
@@ -17,12 +17,15 @@ from robots import (
     unit_links,
 )
 
+import rmrc
 from rmrc.reference import bounded_dls
 
 # DAQP's tolerance, times condition numbers up to 1e4.
 BOXED = 1e-7
 # The QP's α is as much as 1e-8 short of s, times the same condition numbers.
 DIRECTED = 1e-6
+# The room of 1e-10 that a sliver is given, times condition numbers up to 1e6.
+SLIVER = 1e-4
 # One SVD each.
 FREE = 1e-9
 # The soft QP falls short by λ²/σ² in a direction: 1e-6 over σ² ≥ 4e-4.
@@ -59,8 +62,24 @@ def boxed(robot: str, rng: np.random.Generator, folder, share: float) -> tuple[R
 def test_saturated_is_the_qp_that_keeps_its_direction(
     robot, tmp_path_factory, number, share
 ) -> None:
+    assert_directed(robot, tmp_path_factory.getbasetemp(), number, share, DIRECTED)
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e"])
+@settings(phases=[Phase.explicit], deadline=None)
+@example(668)  # of the Panda, as the next: DAQP overlooks a side of the sliver that is left
+@example(1272)
+@example(1909)  # of the UR5e, as the last two: DAQP takes the sliver for empty
+@example(2370)
+@example(2447)
+@given(numbers)
+def test_a_direction_is_kept_where_limits_leave_a_sliver(robot, tmp_path_factory, number) -> None:
+    assert_directed(robot, tmp_path_factory.getbasetemp(), number, 0.5, SLIVER)
+
+
+def assert_directed(robot: str, folder, number: int, share: float, tolerance: float) -> None:
     rng = np.random.default_rng(number)
-    arm, moment, limits = boxed(robot, rng, tmp_path_factory.getbasetemp(), share)
+    arm, moment, limits = boxed(robot, rng, folder, share)
     saturated = arm.controller(arm.hand(gain=1.0), method="saturated", limits=limits)
     v = moment.step(saturated).v
     bounds = saturated.engine.assembly.qp
@@ -68,7 +87,9 @@ def test_saturated_is_the_qp_that_keeps_its_direction(
     assert (v <= bounds.ub).all()
     assert np.minimum(v - bounds.lb, bounds.ub - v).min() <= FREE
     directed = arm.controller(arm.hand(gain=1.0, preserve="direction"), limits=limits)
-    assert_close(moment.step(directed).v, v, DIRECTED)
+    step = moment.step(directed)
+    assert step.status is not rmrc.Status.MAX_ITER
+    assert_close(step.v, v, tolerance)
 
 
 @each_robot

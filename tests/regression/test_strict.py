@@ -10,6 +10,7 @@ import rmrc
 from models import REPOSITORY, config
 from rmrc.qp.backends import create
 from rmrc.qp.cascade import Cascade, Level
+from rmrc.qp.program import QP
 from rmrc.reference import prioritized
 
 # Of rates of the order of 1, past two SVDs and two programs of conditions up to 1e6.
@@ -20,6 +21,12 @@ UNDAMPED = 1e-12
 
 def cascade(n: int) -> Cascade:
     return Cascade(n, lambda: create("daqp"))
+
+
+def box(bound: np.ndarray) -> QP:
+    limits = QP(bound.size)
+    limits.lb[:], limits.ub[:] = -bound, bound
+    return limits
 
 
 def levels(tasks: list[tuple[np.ndarray, np.ndarray]]) -> list[Level]:
@@ -38,8 +45,7 @@ def random_tasks(rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]
 def test_without_active_limits_the_cascade_is_the_prioritized_recursion(seed: int) -> None:
     tasks = random_tasks(np.random.default_rng(seed))
     n = tasks[0][0].shape[1]
-    free = np.full(n, np.inf)
-    solution = cascade(n).solve(levels(tasks), -free, free)
+    solution = cascade(n).solve(levels(tasks), QP(n))
     expected = prioritized(tasks)
     assert np.abs(solution.v - expected).max() < STRICT * max(1.0, np.abs(expected).max())
 
@@ -50,7 +56,7 @@ def test_inside_limits_each_level_is_optimal_where_those_above_are(seed: int) ->
     tasks = random_tasks(rng)
     n = tasks[0][0].shape[1]
     bound = rng.uniform(0.05, 0.5, n)
-    v = cascade(n).solve(levels(tasks), -bound, bound).v
+    v = cascade(n).solve(levels(tasks), box(bound)).v
     assert (np.abs(v) <= bound).all()
     # An independent solver finds no better first level anywhere in the box.
     jacobian, rate = tasks[0]
@@ -92,8 +98,7 @@ def test_the_golden_strict_case(repository) -> None:
     cases = {case["name"]: case for case in json.loads(path.read_text())["cases"]}
     case = cases["3r strict priority: row x first, then sum of joint rates = 1"]
     tasks = [(np.array(case[key]), np.array([1.0])) for key in ("level_1", "level_2")]
-    free = np.full(3, np.inf)
-    v = cascade(3).solve(levels(tasks), -free, free).v
+    v = cascade(3).solve(levels(tasks), QP(3)).v
     assert v == pytest.approx(case["expect"], abs=STRICT)
 
 
@@ -106,7 +111,7 @@ def test_a_preserved_direction_is_as_fast_as_the_limits_allow(repository) -> Non
     jacobian, rate = np.array(case["J"]), np.array(case["xdot"])
     solver, bound = cascade(4), np.array(case["v_max"])
     directed = Level(jacobian, rate, UNDAMPED * np.eye(4), (jacobian, rate))
-    v = solver.solve([directed], -bound, bound).v
+    v = solver.solve([directed], box(bound)).v
     assert solver.scale == pytest.approx(case["expect"][0], abs=1e-9)
     assert jacobian @ v == pytest.approx(solver.scale * rate, abs=1e-9)
 

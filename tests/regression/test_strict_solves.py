@@ -8,7 +8,7 @@ from robots import Moment, asked, definite, random_moment, random_robot
 
 import rmrc
 
-MOMENTS = 150
+MOMENTS = 200
 # J v along ẋ: DAQP's tolerance, beside a v of the order of 0.1.
 ALONG = 1e-6
 

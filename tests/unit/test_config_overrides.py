@@ -136,6 +136,7 @@ def test_a_wrong_value_is_told_with_its_option(path):
         "--set limits.velocity.elbw=1: "
         "no joint named 'elbw'; did you mean 'elbow'? There is: shoulder, elbow",
         "--set solver.bakcend=osqp: "
-        "no key named 'bakcend'; did you mean 'backend'? There is: backend, max_iter, tolerance",
+        "no key named 'bakcend'; did you mean 'backend'? "
+        "There is: backend, max_iter, deadline, tolerance",
         "--set tasks.hand.gain=-1: this must be greater than 0, not -1",
     ]

@@ -174,7 +174,7 @@ def test_values_keep_the_place_where_they_were_written(folder):
     ("use", "value"),
     [
         ("[{}]".format(", ".join(["$x"] * 300)), [1] * 300),
-        ("'{}'".format("${x}" * 3000), "y" * 3000),
+        ("'{}'".format("${x}" * 2000), "y" * 3000),
     ],
     ids=["values", "text"],
 )

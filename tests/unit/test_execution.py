@@ -95,9 +95,8 @@ def test_other_robots_keep_their_paths(path: Path, joint_control: str) -> None:
     assert rms(hand_error(followed)) < TRACKING
 
 
-@pytest.mark.parametrize(
-    ("path", "joint_control"), [(LINE, "torque"), (UR5E, "torque"), (UR5E, "position")]
-)
+@pytest.mark.parametrize("joint_control", JOINT_CONTROLS)
+@pytest.mark.parametrize("path", [LINE, UR5E])
 @pytest.mark.parametrize(("dt", "latency"), [(0.001, 5), (0.005, 1)], ids=["1ms", "5ms"])
 def test_the_loop_is_stable_with_a_latency_of_5_ms(
     path: Path, joint_control: str, dt: float, latency: int

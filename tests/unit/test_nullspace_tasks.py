@@ -283,23 +283,25 @@ def signed_distance(data: mujoco.MjData, first: str, second: str) -> float:
     return mujoco.mj_geomDistance(model, data, *ids, 10.0, None)
 
 
+def row_error(distance: float, least: float) -> float:
+    return 0.5 * max(0.0, least - distance) ** 2 / least
+
+
 @pytest.mark.parametrize("gap", [0.08, 0.02, 1e-3, 1e-5, -1e-5, -1e-3, -0.05])
 @pytest.mark.parametrize("moving", SHAPES)
 @pytest.mark.parametrize("still", SHAPES)
-def test_clearance_descends_its_potential(
+def test_clearance_has_the_slope_of_its_error(
     still: str, moving: str, gap: float, tmp_path: Path
 ) -> None:
     scene = written(tmp_path, TWO_SHAPES.format(still=SHAPES[still], moving=SHAPES[moving]))
     task = {"type": "clearance", "pairs": [["still", "moving"]], "distance": DISTANCE}
     evaluation = evaluation_of(scene, task)
-    term = clearance_term(evaluation)
 
     def at(reach: float) -> np.ndarray:
         return np.array([0.6 * reach, 0.5 * reach, 0.62 * reach, 0.2, -0.3])
 
-    def potential(data: mujoco.MjData) -> float:
-        short = max(0.0, DISTANCE - signed_distance(data, "still", "moving"))
-        return 0.5 * short**2 / term.lever_square[0]
+    def error(data: mujoco.MjData) -> float:
+        return row_error(signed_distance(data, "still", "moving"), DISTANCE)
 
     inner, outer = 0.02, 1.0
     for _ in range(60):  # bisection for the gap
@@ -308,55 +310,72 @@ def test_clearance_descends_its_potential(
         wide = signed_distance(evaluation.data, "still", "moving") > gap
         inner, outer = (inner, middle) if wide else (middle, outer)
     q = at(outer)
-    expected = -slope(evaluation, potential, q)
-    assert np.abs(error_at(evaluation, q) - expected).max() < CENTRAL_DIFFERENCE
-    assert np.abs(expected).max() > 1e-3
+    expected = -slope(evaluation, error, q)
+    assert error_at(evaluation, q) == pytest.approx([row_error(gap, DISTANCE)], abs=1e-9)
+    assert np.abs(evaluation.jacobian - expected).max() < CENTRAL_DIFFERENCE
+    assert np.abs(expected).max() > 1e-2
     assert signed_distance(evaluation.data, "still", "moving") == pytest.approx(gap, abs=1e-9)
 
 
-def test_clearance_sums_over_pairs_and_sees_every_pair_that_is_near() -> None:
-    """The bounding spheres leave out no pair: e is the sum over all, each on its own."""
-    near = 0
+def test_clearance_has_a_row_for_each_pair_and_sees_every_pair_that_is_near() -> None:
+    """The bounding spheres leave out no pair."""
+    near, least = 0, 0.3
     scene = scene_path("dual_arm", Path())
     pairs = [["right_link5", "left_link5"], ["left_link6", "obstacles"], ["floor", "left_link4"]]
-    together, *single = (
-        evaluation_of(scene, {"type": "clearance", "pairs": some, "distance": 0.3})
-        for some in (pairs, *([pair] for pair in pairs))
-    )
-    term, model = clearance_term(together), together.model
+    task = {"type": "clearance", "pairs": pairs, "distance": least}
+    evaluation = evaluation_of(scene, task)
+    term, model = clearance_term(evaluation), evaluation.model
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        q = random_configuration(model, together.problem.start, rng, 1.0)
-        error = error_at(together, q)
-        assert error == pytest.approx(sum(error_at(e, q) for e in single), abs=ROUNDING)
-
-        def potential(data: mujoco.MjData) -> float:
-            shorts = [
-                max(0.0, 0.3 - mujoco.mj_geomDistance(model, data, *pair, 10.0, None))
-                for pair in term.geoms
-            ]
-            return 0.5 * float(np.square(shorts) @ (1.0 / term.lever_square))
-
-        together.update(q)
-        near += bool(potential(together.data))
-        assert bool(potential(together.data)) == bool(error.any())
+        q = random_configuration(model, evaluation.problem.start, rng, 1.0)
+        error = error_at(evaluation, q)
+        expected = [
+            row_error(mujoco.mj_geomDistance(model, evaluation.data, *pair, 10.0, None), least)
+            for pair in term.geoms
+        ]
+        assert error == pytest.approx(expected, abs=ROUNDING)
+        assert ((error > 0.0) == evaluation.jacobian.any(axis=1)).all()
+        near += bool(error.any())
     assert 0 < near < 20
 
 
-def test_a_lever_bounds_how_fast_a_distance_changes() -> None:
-    scene = scene_path("panda", Path())
-    far = 10.0
-    task = {"type": "clearance", "pairs": [["palm", "floor"]], "distance": far}
+def test_a_capsule_that_pierces_a_box_is_pushed_out(tmp_path: Path) -> None:
+    # Where the axis is inside the box, mj_geomDistance may call the two apart.
+    shapes = {"still": 'type="box" size=".1 .1 .1"', "moving": 'type="capsule" size=".02 .15"'}
+    scene = written(tmp_path, TWO_SHAPES.format(**shapes))
+    task = {"type": "clearance", "pairs": [["still", "moving"]], "distance": DISTANCE}
     evaluation = evaluation_of(scene, task)
-    term = clearance_term(evaluation)
-    shares = []
-    for seed in range(50):
-        rng = np.random.default_rng(seed)
-        q = random_configuration(evaluation.model, evaluation.problem.start, rng, 2.0)
-        error = error_at(evaluation, q)
-        short = far - signed_distance(evaluation.data, "palm", "floor")
-        shares.append(np.linalg.norm(error) * np.sqrt(term.lever_square[0]) / short)
-    assert 0.3 < max(shares) <= 1.0
+    error = error_at(evaluation, np.array([0.02, 0.01, 0.0, 0.0, 0.0]))
+    assert error[0] > row_error(-0.05, DISTANCE)
+
+
+def test_a_pair_goes_back_to_its_distance_at_the_gain(tmp_path: Path) -> None:
+    gain, duration = 4.0, 0.5
+    scene = written(tmp_path, TWO_SHAPES.format(still=SHAPES["sphere"], moving=SHAPES["sphere"]))
+    task = {"name": "task", "type": "clearance", "pairs": [["still", "moving"]], "gain": gain}
+    start, damping = [0.22, 0.02, 0.01, 0.0, 0.0], {"lambda": 1e-5}
+    run = rmrc.solve(config(scene, [task], start=start, duration=duration, damping=damping))
+    model = mujoco.MjModel.from_xml_path(scene)
+    data, short = mujoco.MjData(model), []
+    for q in (run.q[0], run.q[-1]):
+        data.qpos = q
+        mujoco.mj_kinematics(model, data)
+        short.append(DISTANCE - signed_distance(data, "still", "moving"))
+    # Euler steps of dt = 2 ms, as above; the damping takes less.
+    assert short[1] == pytest.approx(np.exp(-0.5 * gain * duration) * short[0], rel=0.01)
+
+
+def test_a_pair_that_is_far_leaves_all_motion_to_lower_levels() -> None:
+    scene = scene_path("planar_3r", Path())
+    posture = {"name": "posture", "type": "posture", "level": 1, "target": [0.2, 0.5, 0.6]}
+    clear = {"name": "clear", "type": "clearance", "pairs": [["base", "link3"]], "distance": 0.1}
+    start = {"start": [0.3, 0.3, 0.3], "priority": "strict"}
+    with_it, without = (
+        rmrc.Controller(rmrc.compile(config(scene, tasks, **start))).step().v
+        for tasks in ([clear, posture], [posture])
+    )
+    assert np.abs(without).max() > 0.1
+    assert with_it == pytest.approx(without, abs=ROUNDING)
 
 
 def test_a_body_means_all_its_geoms_and_a_pair_counts_once() -> None:
@@ -380,13 +399,13 @@ def test_clearance_leaves_a_floating_base_alone_and_minds_planes_from_afar(tmp_p
     q = evaluation.problem.start.copy()
     q[:3] = (50.0, -30.0, 0.3)  # far from the plane's own centre; the bob is 0.2 above it
     error = error_at(evaluation, q)
-    lever = 1.0 + 0.1
-    assert error == pytest.approx([0.0] * 6 + [-(0.5 - 0.2) / lever**2], abs=ROUNDING)
-    assert np.flatnonzero(evaluation.problem.terms[0].weight).tolist() == [6]
-    q[2] = 0.1  # touching, where there is no direction
-    assert not error_at(evaluation, q).any()
-    q[2] = 0.7  # beyond the distance
-    assert not error_at(evaluation, q).any()
+    assert error == pytest.approx([row_error(0.2, 0.5)], abs=ROUNDING)
+    slope = (1.0 - 0.2 / 0.5) * -1.0  # turning the arm lowers the bob
+    assert evaluation.jacobian == pytest.approx(np.array([[0.0] * 6 + [slope]]), abs=ROUNDING)
+    for height in (0.1, 0.7):  # touching, where there is no direction, and beyond the distance
+        q[2] = height
+        assert not error_at(evaluation, q).any()
+        assert not evaluation.jacobian.any()
 
 
 # Below a frame task.
@@ -591,6 +610,7 @@ def test_names_of_geoms_and_bodies_are_checked_in_a_file(tmp_path: Path) -> None
     ("keys", "message"),
     [
         ({"pairs": []}, "pairs: this list is empty; name at least one"),
+        ({"pairs": "link1"}, "pairs: a list of pairs is wanted here, not the text 'link1'"),
         ({"pairs": [["link1"]]}, "pairs[0]: a list of 2 values is wanted here"),
         ({"pairs": [["link1", "post"]], "distance": 0}, "distance: this must be greater"),
         ({"pairs": [["link1", "post"]], "B": -1.0}, "B: this must be at least 0"),

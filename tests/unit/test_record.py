@@ -125,6 +125,7 @@ def fabricated(
         method="qp",
         tolerance=TOLERANCE,
         converging={next(iter(tasks)): (0,)},
+        least={},
     )
     manifest = {
         "name": name,
@@ -478,6 +479,7 @@ def summary_of(**changes: Any) -> dict[str, Any]:
         "backend": "daqp",
         "method": "qp",
         "tolerance": TOLERANCE,
+        "least": {},
         "converging": {"hand": (0, 1)},
     }
     return summarize(**(pieces | changes))

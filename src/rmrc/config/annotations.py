@@ -187,15 +187,22 @@ def _wanted(annotation: Any) -> Iterator[str]:
     elif get_origin(kind) is dict:
         yield "a mapping"
     else:
-        yield {float: "a number", int: "a whole number", str: "text"}.get(kind, "another value")
+        yield {
+            float: "a number",
+            int: "a whole number",
+            str: "text",
+            bool: "true or false",
+        }.get(kind, "another value")
 
 
 def _wanted_list(arguments: tuple[Any, ...]) -> str:
     item, *others = arguments
-    if get_origin(bare(item)[0]) is tuple:
-        return "a matrix"
+    kind, _ = bare(item)
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)
+        return "a list of pairs" if len(inner) == 2 and Ellipsis not in inner else "a matrix"
     count = "" if others == [Ellipsis] else f"{1 + len(others)} "
-    if is_model(bare(item)[0]) or tag_key(item):
+    if is_model(kind) or tag_key(item):
         return f"a list of {count}mappings"
     plural = {"a number": "numbers", "the name of a joint": "names of joints"}
     return f"a list of {count}{plural.get(described(item), 'values')}"

@@ -1,7 +1,6 @@
 """The base class and the value types that every part of a configuration is made of."""
 
 import math
-import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,8 +20,11 @@ FRAME_KINDS: tuple[FrameKind, ...] = ("site", "body", "geom")
 # Eigenvalues of a weight matrix down to this share of the largest count as zero, not negative.
 SEMIDEFINITE_TOLERANCE = 1e-9
 
+LARGEST_NUMBER = 1e100
+"""Size of the largest number that is taken: what is computed from its square is still a float."""
 
-NameKind = Literal["site", "body", "geom", "joint", "keyframe", "geom or body", "mocap"]
+
+NameKind = Literal["site", "body", "geom", "joint", "keyframe", "equality", "geom or body", "mocap"]
 
 
 @dataclass(frozen=True)
@@ -67,13 +69,22 @@ class Model(_Explained):
 
 
 def _plain(value: Any) -> Any:
-    """Turn numpy arrays and scalars into plain lists and numbers, for callers from Python."""
-    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+    """Turn numpy arrays and scalars into plain lists and numbers, for callers from Python.
+
+    Raises ValueError where a number is too large to compute with.
+    """
+    value = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+    _is_number(value)
+    return value
 
 
 def _is_number(value: Any) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and abs(value) <= sys.float_info.max  # of integers beyond floats, too
+    """Tell whether a value is a finite number; ValueError if it is too large to compute with."""
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    if LARGEST_NUMBER < abs(value) < math.inf:
+        raise ValueError(f"a number cannot be larger than {LARGEST_NUMBER:g}")
+    return math.isfinite(value)
 
 
 def _weight(value: Any) -> float | tuple[float, ...] | tuple[tuple[float, ...], ...]:
@@ -94,9 +105,7 @@ def _weight(value: Any) -> float | tuple[float, ...] | tuple[tuple[float, ...], 
             "a weight is a finite number, a list of them (the diagonal) or a square matrix"
         )
     matrix = np.array(rows, dtype=float)
-    with np.errstate(over="ignore"):  # entries of opposite sign near the largest float
-        symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=0)
-    if not symmetric:
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0):
         raise ValueError("a weight matrix must be symmetric")
     eigenvalues = np.linalg.eigvalsh(matrix)
     if eigenvalues[0] < -SEMIDEFINITE_TOLERANCE * max(abs(eigenvalues[-1]), abs(eigenvalues[0])):

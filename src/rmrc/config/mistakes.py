@@ -11,6 +11,7 @@ MOST_MISTAKES = 20
 """A message lists no more than these; nobody reads on."""
 _WIDEST_LINE = 100
 _LONGEST_VALUE = 60
+_LONGEST_MESSAGE = 2000
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def _order(place: Place | None, main: Place | None) -> tuple[bool, bool, str, in
 
 def _formatted(mistake: Mistake) -> str:
     place = mistake.place
-    message = printable(mistake.message)
+    message = printable(clipped(mistake.message, _LONGEST_MESSAGE))
     if place is None:
         return f"{dotted(mistake.location)}: {message}" if mistake.location else message
     if not place.line:
@@ -132,6 +133,6 @@ def shown(value: Any) -> str:
     return f"a value of type {type(value).__name__}"
 
 
-def clipped(text: str) -> str:
+def clipped(text: str, longest: int = _LONGEST_VALUE) -> str:
     """Return text, cut where it is too long for a message."""
-    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}…"
+    return text if len(text) <= longest else f"{text[:longest]}…"

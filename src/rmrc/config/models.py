@@ -67,7 +67,7 @@ class DampingModel(Model):
     threshold: Positive = 0.05
     """σ or w below which λ rises, in the units of λ and of their product."""
     largest: Positive = 0.1
-    """λ at σ = 0 or w = 0; `error` has no largest λ."""
+    """The most that is added to λ: at σ = 0, at w = 0, or for a large error."""
 
 
 class ToleranceModel(Model):
@@ -164,7 +164,7 @@ class Config(Model):
     previous: Literal["commanded", "measured"] = "commanded"
     """The velocity that acceleration, jerk and `smooth` count from: the last command, or what was
     measured."""
-    tasks: Annotated[tuple[Task, ...], Field(min_length=1)]
+    tasks: Annotated[tuple[Task, ...], Field(min_length=1, max_length=1000)]
     """The tasks."""
     limits: LimitsModel = LimitsModel()
     """The limits."""

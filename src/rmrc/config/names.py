@@ -66,29 +66,31 @@ def _names(model: mujoco.MjModel, kind: NameKind) -> list[str]:
 
 
 def disagreements(tasks: Iterable[tuple[int, str, str]], targets: Iterable[str]) -> list[Mistake]:
-    """Return what does not fit together in the names of tasks and targets.
+    """Return what does not fit together in the names, as far as a reader wants to know.
 
     Args:
         tasks: Position, name and kind of target of each task.
         targets: The names that have a path.
     """
-    mistakes = []
+    return list(islice(_disagreeing(tasks, targets), MOST_MISTAKES + 1))
+
+
+def _disagreeing(
+    tasks: Iterable[tuple[int, str, str]], targets: Iterable[str]
+) -> Iterator[Mistake]:
     first: dict[str, tuple[int, str]] = {}
     for index, name, kind in tasks:
         if name in first:
-            mistakes.append(
-                Mistake(
-                    ("tasks", index, "name"),
-                    f"two tasks are named '{clipped(name)}', and names must differ",
-                    other=("tasks", first[name][0], "name"),
-                )
+            yield Mistake(
+                ("tasks", index, "name"),
+                f"two tasks are named '{clipped(name)}', and names must differ",
+                other=("tasks", first[name][0], "name"),
             )
         first.setdefault(name, (index, kind))
     for name in targets:
         if name not in first:
             message = unknown_name("task", clipped(name), first)
-            mistakes.append(Mistake(("targets", name), message, key=True))
+            yield Mistake(("targets", name), message, key=True)
         elif first[name][1] not in FOLLOWING:
             message = f"the task '{name}' follows no path: its type has no pose and no point"
-            mistakes.append(Mistake(("targets", name), message, key=True))
-    return mistakes
+            yield Mistake(("targets", name), message, key=True)

@@ -15,9 +15,11 @@ from rmrc.config.document import Node, Place
 from rmrc.config.mistakes import MOST_MISTAKES, Mistake, clipped, config_error
 from rmrc.errors import ConfigError, suggestion
 
-LARGEST_FILE = 1_000_000  # bytes
-MOST_VALUES = 50_000
+# Within these a file is read, and refused, in less than a second.
+LARGEST_FILE = 500_000  # bytes
+MOST_VALUES = 20_000
 DEEPEST = 50
+LONGEST_TEXT = 10_000  # characters of one text; no path and no name is longer
 
 # The core schema of YAML 1.2, section 10.3.2.
 _NULL = re.compile(r"~|null|Null|NULL|")
@@ -117,7 +119,7 @@ def _text(path: Path, whole: Place) -> str:
         raise _error(_why_unreadable(path, error), whole) from None
     if len(content) > LARGEST_FILE:
         raise _error(
-            f"a configuration has at most {LARGEST_FILE / 1e6:.0f} MB, and this file has more; "
+            f"a configuration has at most {LARGEST_FILE // 1000} kB, and this file has more; "
             "tables of poses go into a path of type file (.csv or .npz)",
             whole,
         )
@@ -245,6 +247,8 @@ class _Composer:
 
     def _scalar(self, event: Any, place: Place) -> Any:
         value = scalar(event.value) if event.implicit[0] else event.value
+        if isinstance(value, str) and len(value) > LONGEST_TEXT:
+            self._mistake(too_long(value), place)
         if isinstance(value, str) and ("\0" in value or (not value.isascii() and _torn(value))):
             self._mistake("this text has a character that no name or path can have", place)
         return value
@@ -284,6 +288,11 @@ def _is_merge(event: Any) -> bool:
 def _torn(text: str) -> bool:
     """Tell whether text has half of a surrogate pair, which cannot be written as UTF-8."""
     return any("\ud800" <= character <= "\udfff" for character in text)
+
+
+def too_long(text: str) -> str:
+    """Return what to say of a text that is longer than any name or path."""
+    return f"a text has at most {LONGEST_TEXT} characters, and this one has {len(text)}"
 
 
 def scalar(text: str) -> Any:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rmrc.config.document import Node, Place
-from rmrc.config.mistakes import Mistake, clipped, shown
-from rmrc.config.read import MOST_VALUES, read
+from rmrc.config.mistakes import MOST_MISTAKES, Mistake, clipped, shown
+from rmrc.config.read import LONGEST_TEXT, MOST_VALUES, read, too_long
 from rmrc.errors import ConfigError, unknown_name
 
 USE_KEYS = ("use", "with", "override")
@@ -40,6 +40,8 @@ def expand(root: Node, file: Path, name: str) -> tuple[Node, list[Mistake]]:
     tasks: list[Node] = []
     limits: Node | None = None
     for item in items.value:
+        if len(expansion.mistakes) > MOST_MISTAKES:
+            break
         if "use" not in item.mapping:
             tasks.append(item)
             continue
@@ -160,7 +162,7 @@ class _Expansion:
                 message = f"a parameter's name is of letters, digits and _, not '{clipped(name)}'"
                 self._note(message, node.key or node.place)
         for name, node in given.mapping.items() if given is not None else ():
-            if name not in values:
+            if name not in values and len(self.mistakes) <= MOST_MISTAKES:
                 message = unknown_name(f"parameter of {use.value}", clipped(name), values)
                 self._note(message, node.key or node.place)
         values.update(given.mapping if given is not None else {})
@@ -213,7 +215,10 @@ class _Expansion:
             self._take(node, 1 + len(inserted) // _CHARACTERS)
             return inserted
 
-        return _PART.sub(part, text)
+        filled = _PART.sub(part, text)
+        if len(filled) > LONGEST_TEXT:
+            self._stop(too_long(filled), place)
+        return filled
 
     def _value(self, name: str, place: Place, values: Mapping[str, Node]) -> Node:
         if name not in values:

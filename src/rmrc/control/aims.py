@@ -65,6 +65,42 @@ def build_aims(problem: Problem) -> list[Aim]:
     return aims
 
 
+@dataclass(eq=False)
+class MovingObstacle:
+    """One mocap body on its path."""
+
+    body: str
+    path: Trajectory
+    pose: Array
+    twist: Array
+
+    def move(self, now: float, controller: Controller) -> None:
+        """Set the body to where it is at a time from the start, s, with its velocity."""
+        self.path.sample(now, self.pose, self.twist)
+        controller.set_obstacle(self.body, self.pose[:3], self.pose[3:], self.twist)
+
+
+def build_obstacles(problem: Problem) -> list[MovingObstacle]:
+    """Build the paths of the mocap bodies from where the model has them.
+
+    Raises:
+        ConfigError: If a path does not exist from there.
+    """
+    model, obstacles, mistakes = problem.model, [], []
+    for name, path in problem.config.obstacles.items():
+        body = model.body(name).id
+        start = np.concatenate([model.body_pos[body], model.body_quat[body]])
+        try:
+            trajectory = path.build(start, problem.config.root)
+        except ConfigError as mistake:
+            mistakes.append(Mistake(("obstacles", name), str(mistake)))
+        else:
+            obstacles.append(MovingObstacle(name, trajectory, np.empty(7), np.empty(6)))
+    if mistakes:
+        raise config_error(mistakes, problem.config)
+    return obstacles
+
+
 def unfinished(aims: Sequence[Aim], config: Config) -> list[str]:
     """Return what there is to say about paths that are longer than the run."""
     late = [aim for aim in aims if aim.path.duration > config.duration + 0.5 * config.dt]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rmrc.config.models import Config
-from rmrc.control.aims import build_aims, unfinished
+from rmrc.control.aims import build_aims, build_obstacles, unfinished
 from rmrc.control.controller import Controller
 from rmrc.control.execution import build_execution
 from rmrc.control.methods import shortcomings
@@ -21,7 +21,11 @@ def check(config: Config) -> list[str]:
     """
     problem = compile(config)
     aims = build_aims(problem)
-    tasks = ", ".join(f"{term.name} ({term.type}, level {term.level})" for term in problem.terms)
+    build_obstacles(problem)
+    tasks = ", ".join(
+        f"{term.name} ({term.type}, {'hard' if term.hard else f'level {term.level}'})"
+        for term in problem.terms
+    )
     lines = [f"{problem.dofs.size} of {problem.model.nv} dofs move; tasks: {tasks}"]
     Controller(problem)  # a method that cannot run on this problem says so
     lines += shortcomings(problem)

@@ -1,5 +1,7 @@
 """`Controller`: one certified joint velocity a step, whatever comes in."""
 
+import math
+from time import perf_counter
 from typing import Literal
 
 import mujoco
@@ -9,8 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from rmrc.control.engine import PythonEngine
 from rmrc.control.inputs import Configurations, Targets
 from rmrc.control.methods import UNCERTIFIED, ClosedFormEngine
-from rmrc.control.step import Errors, Status, Step
+from rmrc.control.progress import Progress
+from rmrc.control.step import ACTIVE_MULTIPLIER, Errors, Moment, Status, Step
 from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.frames import names
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 
@@ -18,15 +22,20 @@ Array = NDArray[np.float64]
 
 SHORTEST, LONGEST = 1e-9, 1e3
 """Lengths of a step in s beyond which a clock, not a robot, is at fault."""
-ACTIVE_MULTIPLIER = 1e-7
-"""A limit is active where its multiplier is above this, in the program's unit."""
+TICK_ROUNDING = 1e-9
+"""A timeout that is passed by less than this, s, is not passed: ticks are summed up."""
 
 _LIMITED = 1 << Status.LIMITED
 _SCALED = 1 << Status.SCALED
+_DAMPED = 1 << Status.DAMPED
 _RELAXED = 1 << Status.RELAXED
+_STUCK = 1 << Status.STUCK
+_DEADLINE = 1 << Status.DEADLINE
+_STALE = 1 << Status.STALE
 _RECOVERING = 1 << Status.RECOVERING
 _MAX_ITER = 1 << Status.MAX_ITER
 _INVALID_INPUT = 1 << Status.INVALID_INPUT
+_FAILED = _MAX_ITER | _DEADLINE | _STALE | _INVALID_INPUT
 
 
 class Controller:
@@ -51,12 +60,28 @@ class Controller:
         self._frozen = frozen if frozen.any() else None
         self._refused = False
         self._term = dict(problem.term)
-        self._q = problem.start.copy()
-        self._v = np.zeros(model.nv)
+        self._obstacle = {name: int(model.body(name).mocapid[0]) for name in names(model, "mocap")}
+        self._budget = problem.deadline
+        self._timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
+        self._jerk = bool(np.isfinite(problem.box.jerk).any())
+        self._measures = problem.config.previous == "measured"
+        self._progress = Progress(problem, self._evaluation, self.engine.assembly)
+        self.failures = 0
+        """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
 
-    def reset(self, q: ArrayLike | None = None) -> None:
-        """Start from rest at q (nq,), by default the start of the config; targets return to theirs.
+    def reset(
+        self,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        a: ArrayLike | None = None,
+    ) -> None:
+        """Start anew at q (nq,), by default the start of the config; targets return to theirs.
+
+        Args:
+            q: Configuration (nq,).
+            v: Velocity (nv,) that the robot moves with; by default it rests.
+            a: Its acceleration (nv,).
 
         Raises:
             ModelError: If q is not a configuration of this model.
@@ -71,8 +96,23 @@ class Controller:
             self._q = valid
         else:
             self._q = self.problem.start.copy()
-        self._v[:] = 0.0
+        nv = self._model.nv
+        self._v = np.zeros(nv) if v is None else np.array(v, dtype=float)
+        self._a = np.zeros(nv) if a is None else np.array(a, dtype=float)
         self._refused = False
+        self._clock = self._measured_at = 0.0
+        self._set_at: dict[str, float] = {}
+        self._measured: Array | None = None
+        self.failures = 0
+        self._progress.reset()
+        model, data = self._model, evaluation.data
+        for name, mocap in self._obstacle.items():
+            body = model.body(name).id
+            data.mocap_pos[mocap], data.mocap_quat[mocap] = (
+                model.body_pos[body],
+                model.body_quat[body],
+            )
+        evaluation.obstacle_twist[:] = 0.0
         for term in self.problem.terms:
             evaluation.target[term.name][:] = term.target
             evaluation.stop(term.name)
@@ -107,24 +147,104 @@ class Controller:
         accepted = self._targets.take(term, position, quaternion, velocity, q, direction)
         if not accepted:
             self._refused = True
+        elif self._timed:
+            self._set_at[name] = self._clock
         return accepted
 
-    def step(self, q: ArrayLike | None = None, dt: float | None = None) -> Step:
+    def set_obstacle(
+        self,
+        name: str,
+        position: ArrayLike | None = None,
+        quaternion: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+    ) -> bool:
+        """Move a mocap body; return False, and leave it where it is, if the pose is not valid.
+
+        Args:
+            name: The body.
+            position: In the world (3,), m; by default as it is.
+            quaternion: wxyz (4,), of any norm but zero; by default as it is.
+            velocity: Its linear and angular velocity in the world (6,), m/s and rad/s; by default
+                it rests.
+
+        Raises:
+            ModelError: If the model has no such mocap body.
+        """
+        if name not in self._obstacle:
+            raise ModelError(unknown_name("mocap body", name, self._obstacle))
+        mocap, evaluation = self._obstacle[name], self._evaluation
+        data = evaluation.data
+        pose = self._targets.pose(
+            data.mocap_pos[mocap], data.mocap_quat[mocap], position, quaternion, velocity
+        )
+        if pose is None:
+            self._refused = True
+            return False
+        data.mocap_pos[mocap], data.mocap_quat[mocap] = pose[:3], pose[3:7]
+        evaluation.obstacle_twist[mocap] = pose[7:]
+        return True
+
+    def step(
+        self,
+        q: ArrayLike | None = None,
+        dt: float | None = None,
+        v: ArrayLike | None = None,
+        age: float = 0.0,
+    ) -> Step:
         """Return the command for the next step of dt seconds.
 
         Args:
             q: Measured configuration (nq,); by default the one that the last command led to.
             dt: Length of the step, s; by default the problem's.
+            v: Measured velocity (nv,), which `previous: measured` counts from; by default what the
+                last two measured configurations say.
+            age: Age of the measured configuration, s.
         """
+        if self._budget < math.inf:
+            self.engine.deadline = perf_counter() + self._budget
         valid = self._q if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else self._seconds(dt)
         if valid is None or seconds is None:
-            return self._brake(dt)
+            return self._brake(seconds, _INVALID_INPUT)
         dt = seconds
-        solution = self.engine.solve(valid, self._v, dt)
-        return self._carried_out(valid, solution, self._flags(solution), dt)
+        previous = self._v
+        if self._measures:
+            previous = self._previous(q is not None, valid, v, dt)
+            if previous is None:
+                return self._brake(dt, _INVALID_INPUT)
+        if self._timed and self._stale(q is not None, age):
+            return self._brake(dt, _STALE)
+        if self._jerk:
+            self._evaluation.a_previous[:] = self._a
+        solution = self.engine.solve(valid, previous, dt)
+        self._progress.update(solution.v, dt)
+        return self._carried_out(valid, solution, self._flags(solution), dt, previous)
 
-    def _carried_out(self, q: Array, solution: Solution, flags: int, dt: float) -> Step:
+    def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
+        """Return the velocity that this step starts from, as measured; None if v is not valid."""
+        if v is not None:
+            return self._configurations.read_velocity(v)
+        before, self._measured = self._measured, q if measured else None
+        if before is None or not measured:
+            return self._v
+        found = np.empty(self._model.nv)
+        mujoco.mj_differentiatePos(self._model, found, dt, before, q)
+        return found
+
+    def _stale(self, measured: bool, age: float) -> bool:
+        """Return whether the measurement or a target that was set is older than its timeout."""
+        problem, now = self.problem, self._clock
+        if measured:
+            self._measured_at = now - (age if age >= 0.0 else math.inf)  # NaN has no age either
+        oldest = min(self._set_at.values(), default=now)
+        return (
+            now - oldest > problem.target_timeout + TICK_ROUNDING
+            or not now - self._measured_at <= problem.measurement_timeout + TICK_ROUNDING
+        )
+
+    def _carried_out(
+        self, q: Array, solution: Solution, flags: int, dt: float, previous: Array
+    ) -> Step:
         """Integrate a solution over dt from q, and remember where it leads."""
         if self._all:
             v = solution.v
@@ -133,10 +253,17 @@ class Controller:
             v[self.problem.dofs] = solution.v
         following = q.copy()
         mujoco.mj_integratePos(self._model, following, v, dt)
-        self._q[:] = following
-        self._v[:] = v
+        acceleration = self._a
+        if self._jerk:
+            self._a = (v - previous) / dt
+        self._q = following.copy()  # what a step holds is its caller's
+        self._v = v.copy()
+        self._clock += dt
+        self.failures = self.failures + 1 if flags & _FAILED else 0
         evaluation = self._evaluation
-        return Step(v, following, flags, Errors(evaluation, evaluation.error.copy()), solution)
+        error = Errors(evaluation, evaluation.error.copy())
+        moment = Moment(self.engine, q, previous, acceleration, dt)
+        return Step(v, following, flags, error, solution, moment)
 
     @property
     def q(self) -> Array:
@@ -150,7 +277,7 @@ class Controller:
         """
         valid = self._q if q is None else self._configurations.read(q)
         if valid is None or not np.isfinite(v).all():
-            return self._brake(None)
+            return self._brake(None, _INVALID_INPUT)
         engine, dofs, dt = self.engine, self.problem.dofs, self.problem.dt
         outside = engine.prepare(valid, self._v, dt)
         qp = engine.assembly.qp
@@ -160,7 +287,7 @@ class Controller:
         flags = _RECOVERING if outside else 0
         if np.abs(solution.v - v[dofs]).max() > 0.0:
             flags |= _LIMITED
-        return self._carried_out(valid, solution, flags, dt)
+        return self._carried_out(valid, solution, flags, dt, self._v)
 
     def _flags(self, solution: Solution) -> int:
         """Return the statuses that hold, bit k for the status of value k."""
@@ -168,14 +295,22 @@ class Controller:
         if self._refused:
             self._refused = False
             flags |= _INVALID_INPUT
-        if solution.status is not SolveStatus.SOLVED:
+        if solution.status is SolveStatus.TIME_LIMIT:
+            flags |= _DEADLINE
+        elif solution.status is not SolveStatus.SOLVED:
             flags |= _MAX_ITER
+        if self._budget < math.inf and perf_counter() > self.engine.deadline:
+            flags |= _DEADLINE
         if self.engine.scaled:
             flags |= _SCALED
         if self.engine.outside:
             flags |= _RECOVERING
         if self.engine.relaxed:
             flags |= _RELAXED
+        if self.engine.damped:
+            flags |= _DAMPED
+        if self._progress.stuck:
+            flags |= _STUCK
         z = solution.bound_multiplier if self._frozen is None else solution.bound_multiplier.copy()
         if self._frozen is not None:
             z[self._frozen] = 0.0  # a frozen joint is no limit that is in the way
@@ -184,24 +319,21 @@ class Controller:
             flags |= _LIMITED
         return flags
 
-    def _brake(self, dt: object) -> Step:
+    def _brake(self, dt: float | None, flags: int) -> Step:
         """Return a step that slows down at the acceleration limit, or stands still at once.
 
-        Nothing of the controller changes but the velocity that it has commanded.
+        Nothing of the controller changes but what it has commanded.
         """
-        self._refused = False
-        seconds = self._seconds(dt) or self.problem.dt
+        if self._refused:
+            self._refused, flags = False, flags | _INVALID_INPUT
+        seconds = dt or self.problem.dt
         change = np.full(self._model.nv, np.inf)
         change[self.problem.dofs] = self.problem.box.acceleration * seconds
         v = self._v - np.clip(self._v, -change, change)
-        q = self._q.copy()
-        mujoco.mj_integratePos(self._model, q, v, seconds)
-        self._v[:] = v
         solution = Solution.at_rest(self.engine.assembly.qp)
         solution.v = v[self.problem.dofs]
-        evaluation = self._evaluation
-        error = evaluation.error.copy()
-        return Step(v, q, _INVALID_INPUT, Errors(evaluation, error), solution)
+        self._progress.reset()
+        return self._carried_out(self._q, solution, flags, seconds, self._v)
 
     def _seconds(self, dt: object) -> float | None:
         """Return a length of a step in s, or None if it is none."""

@@ -1,10 +1,13 @@
-"""The Python engine: evaluate, assemble, solve, certify."""
+"""The Python engine: evaluate, assemble, solve, certify, and what there is where that fails."""
 
 import math
+from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
@@ -12,14 +15,27 @@ from rmrc.qp.backends import Backend, create
 from rmrc.qp.cascade import WHOLE, Cascade
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Solution, SolveStatus
+from rmrc.qp.relax import INCONSISTENT, least_violation
+from rmrc.qp.rows import Rows
 
 Array = NDArray[np.float64]
 
 CERTIFIED = 1e-6
 """Largest KKT residual of a solution that is trusted: of limits in rad/s or m/s, of the others
 relative to the largest of 1 and ‖g‖, in the program's unit."""
-SLACK_WEIGHT = 1e6
-"""ρ of the slack's cost ½ρt², beside weights of at most 1."""
+MOST_SHAPES = 256
+"""Numbers of rows for which a backend is kept."""
+
+
+@dataclass(eq=False)
+class _Solver:
+    """A backend with the program it is set up for."""
+
+    qp: QP
+    backend: Backend
+    certificate: Certificate
+    ready: bool = False
+    """Whether the backend can start from its last solution."""
 
 
 class PythonEngine:
@@ -34,75 +50,139 @@ class PythonEngine:
         self.problem = problem
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
-        self._backend = self._new_backend()
-        self._ready = False
-        self.outside = False
-        """Whether a joint was outside its range at the last step."""
-        self.relaxed = False
-        """Whether the rows of the last step contradicted the box and were given slack."""
-        self._certificate = Certificate(self.assembly.qp)
+        self.rows = Rows(problem, self.evaluation)
+        self._shortening = Shortening(problem) if problem.barriers else None
+        self._solvers: dict[tuple[int, int], _Solver] = {}
+        self._solver = self._solver_of(self.assembly.qp)
         directed = any(term.preserve for term in problem.terms)
         self._cascade = (
             Cascade(problem.dofs.size, self._new_backend) if problem.strict or directed else None
         )
+        self.deadline = math.inf
+        """When the step must be done, on the clock of `perf_counter`, s."""
+        self.outside = False
+        """Whether a joint or a distance was outside its limit at the last step."""
+        self.relaxed = False
+        """Whether rows or equalities of the last step could not hold, and were given slack."""
         self.scaled = False
         """Whether a task that preserves its direction ran slower than asked at the last step."""
+        self.share = 1.0
+        """What the check at the next configuration left of the last command, from the brake on."""
 
     def _new_backend(self) -> Backend:
         solver = self.problem.config.solver
         return create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
 
+    def _solver_of(self, qp: QP) -> _Solver:
+        shape = (qp.lo.size, qp.f.size)
+        if shape not in self._solvers:
+            if len(self._solvers) >= MOST_SHAPES:
+                self._solvers.clear()
+            self._solvers[shape] = _Solver(qp, self._new_backend(), Certificate(qp))
+        return self._solvers[shape]
+
+    @property
+    def damped(self) -> bool:
+        """Whether the damping of the last step was above its floor."""
+        return self.assembly.damped
+
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""
-        self._ready = False
+        for solver in self._solvers.values():
+            solver.ready = False
 
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
 
-        The rungs: the full program; the same from a cold start; slack on the rows; a brake, which
-        is the point of the box nearest to rest.
+        The rungs: the full program; the same from a cold start; the least violation of rows and
+        equalities, and the optimum within it; the box alone; a brake, which is the point of the
+        box nearest to rest. Its v is then shortened where distances would be passed.
         """
-        assembly = self.assembly
         self.outside = self.prepare(q, v_previous, dt)
-        self.relaxed = False
-        if self._cascade is not None:
-            return self._descend(self._cascade)
-        if self.problem.mink_limits:
-            self._set_rows(dt)
-        solution = self._attempt(assembly.qp)
-        if self._trusted(solution):
-            return solution
-        self._ready = False
-        again = self._attempt(assembly.qp)
-        if self._trusted(again):
-            return again
-        self._ready = False
-        return self._fall_back(again)
+        self.scaled, self.share = False, 1.0
+        solution = self._descend_ladder()
+        if self._shortening is not None and self.rows.blocks:
+            self._shorten(self._shortening, solution, dt)
+        return solution
 
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
-        """Evaluate and assemble without solving; return whether a joint is outside its range."""
-        evaluation = self.evaluation
+        """Evaluate and assemble without solving.
+
+        Return whether a joint is outside its range, or a distance below its limit.
+        """
+        evaluation, assembly, rows = self.evaluation, self.assembly, self.rows
         evaluation.v_previous[:] = v_previous
         evaluation.update(q)
         evaluation.evaluate()
-        return self.assembly.assemble(q, dt)
+        outside = assembly.assemble(q, dt)
+        equalities = assembly.equalities()
+        self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
+        if not rows.any and equalities is None:
+            return outside
+        rows.update(assembly.box, assembly.rate, dt)
+        count = 0 if equalities is None else equalities.right.size
+        if (rows.count, count) != (assembly.qp.lo.size, assembly.qp.f.size):
+            assembly.resize(rows.count, count)
+        qp = assembly.qp
+        if rows.count:
+            qp.C[:], qp.lo[:], qp.hi[:] = rows.matrix, rows.lower, rows.upper
+        if equalities is not None:
+            qp.E[:], qp.f[:] = equalities.matrix, equalities.right
+        self._solver = self._solver_of(qp)
+        return outside or rows.passed
 
-    def _descend(self, cascade: Cascade) -> Solution:
-        """Return the lexicographic optimum, or the brake."""
-        qp = self.assembly.qp
-        solution = cascade.solve(self.assembly.levels(), qp.lb, qp.ub)
-        self.scaled = cascade.scale < 1.0 - WHOLE
-        return solution if self._trusted(solution) else self._fall_back(solution)
+    def _descend_ladder(self) -> Solution:
+        """Return the solution of the first rung that holds."""
+        solution, qp = self._best(), self.assembly.qp
+        if self._trusted(solution):
+            return solution
+        if not (qp.lo.size or qp.f.size):
+            return solution if self._feasible(solution) else self._stop(solution)
+        if not self._feasible(solution) and self._in_time():
+            violation = least_violation(qp)
+            if violation is not None:
+                self.relaxed |= violation > INCONSISTENT
+                solution = self._best()
+        if self._trusted(solution) or self._feasible(solution):
+            return solution
+        self.relaxed = True
+        if self._in_time():
+            solution = self._without_rows(qp)
+            if self._trusted(solution) or self._feasible(solution):
+                return solution
+        return self._stop(solution)
 
-    def _attempt(self, qp: QP) -> Solution:
-        if self._ready:
-            self._backend.update(qp)
-        else:
-            self._backend.setup(qp)
-            self._ready = True
-        solution = self._backend.solve()
-        self._certificate.certify(solution)
+    def _best(self) -> Solution:
+        """Return the optimum of the program, from a warm and then from a cold start."""
+        qp, solver = self.assembly.qp, self._solver
+        if self._cascade is not None:
+            self._cascade.deadline = self.deadline
+            solution = self._cascade.solve(self.assembly.levels(), qp)
+            self.scaled = self._cascade.scale < 1.0 - WHOLE
+            return solution
+        warm = solver.ready
+        solution = self._attempt(solver)
+        if warm and not self._trusted(solution) and self._in_time():
+            solver.ready = False
+            solution = self._attempt(solver)
         return solution
+
+    def _attempt(self, solver: _Solver) -> Solution:
+        if self.deadline < math.inf:
+            solver.backend.allow(self.deadline - perf_counter())
+        if solver.ready:
+            solver.backend.update(solver.qp)
+        else:
+            solver.backend.setup(solver.qp)
+            solver.ready = True
+        solution = solver.backend.solve()
+        solver.certificate.certify(solution)
+        # What ran out of time goes on from where it got to.
+        solver.ready = solution.status in (SolveStatus.SOLVED, SolveStatus.TIME_LIMIT)
+        return solution
+
+    def _in_time(self) -> bool:
+        return self.deadline == math.inf or perf_counter() < self.deadline
 
     def _trusted(self, solution: Solution) -> bool:
         if solution.status is not SolveStatus.SOLVED:
@@ -113,46 +193,40 @@ class PythonEngine:
         largest, g = max(dual, complementarity), self.assembly.qp.g
         return largest <= CERTIFIED or largest <= CERTIFIED * math.sqrt(g.dot(g))
 
-    def _fall_back(self, failed: Solution) -> Solution:
-        """Return a feasible point: with slack where the rows contradict the box, else a brake."""
-        qp = self.assembly.qp
-        if qp.C.shape[0]:
-            solution = self._with_slack(qp)
-            if self._trusted(solution):
-                self.relaxed = True
-                return solution
-        elif failed.status is SolveStatus.MAX_ITER and failed.v.any():
-            return failed  # the certificate has clipped it into the box
-        failed.v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
-        if not np.isfinite(failed.v).all():
-            failed.v = np.zeros(qp.g.size)
+    @staticmethod
+    def _feasible(solution: Solution) -> bool:
+        """Return whether a solver that was interrupted has left a point that keeps all limits."""
+        stopped = solution.status in (SolveStatus.MAX_ITER, SolveStatus.TIME_LIMIT)
+        return stopped and solution.kkt.primal <= CERTIFIED
+
+    def _without_rows(self, qp: QP) -> Solution:
+        """Return the optimum inside the box alone."""
+        self.assembly.resize(0, 0)
+        self._solver = self._solver_of(self.assembly.qp)
+        solution = self._attempt(self._solver)
+        solution.row_multiplier = np.zeros(qp.lo.size)
+        solution.equality_multiplier = np.zeros(qp.f.size)
+        return solution
+
+    def _stop(self, failed: Solution) -> Solution:
+        """Return the brake in place of a solution that is none."""
+        failed.v = self._brake()
         if failed.status is SolveStatus.SOLVED:
             failed.status = SolveStatus.FAILED
         return failed
 
-    def _with_slack(self, qp: QP) -> Solution:
-        """Return the optimum with one slack t ≥ 0 on all rows, C v ≤ hi + t, at the cost ½ρt²."""
-        n, rows = qp.g.size, qp.hi.size
-        soft = QP(n + 1, rows=rows)
-        soft.H[:n, :n], soft.H[n, n], soft.g[:n] = qp.H, SLACK_WEIGHT, qp.g
-        soft.lb[:n], soft.ub[:n], soft.lb[n] = qp.lb, qp.ub, 0.0
-        soft.C[:, :n], soft.C[:, n], soft.hi[:] = qp.C, -1.0, qp.hi
-        solver = create("daqp")
-        solver.setup(soft)
-        solution = solver.solve()
-        Certificate(soft).certify(solution)
-        solution.v, solution.bound_multiplier = solution.v[:n], solution.bound_multiplier[:n]
-        return solution
+    def _brake(self) -> Array:
+        """Return the point of the box nearest to rest."""
+        qp = self.assembly.qp
+        v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
+        return v if np.isfinite(v).all() else np.zeros(qp.g.size)
 
-    def _set_rows(self, dt: float) -> None:
-        """Take over the rows of mink's limits; their number may change from step to step."""
-        rows = self.assembly.mink_rows(dt)
-        count = 0 if rows is None else rows[1].size
-        if count != self.assembly.qp.C.shape[0]:
-            self.assembly.resize(count)
-            self._certificate = Certificate(self.assembly.qp)
-            self._ready = False
-        if rows is not None:
-            qp = self.assembly.qp
-            qp.C[:], qp.hi[:] = rows
-            qp.lo[:] = -np.inf
+    def _shorten(self, shortening: Shortening, solution: Solution, dt: float) -> None:
+        """Shorten v towards the brake where a distance would be passed at the end of the step."""
+        evaluation, brake = self.evaluation, self._brake()
+        self.share, passed = shortening.share(
+            evaluation.data, evaluation.obstacle_twist, solution.v, brake, self.rows.blocks, dt
+        )
+        if self.share < 1.0:
+            solution.v = brake + self.share * (solution.v - brake)
+        self.relaxed |= passed

@@ -67,6 +67,10 @@ class Execution(Protocol):
         """Let the time of one step pass."""
         ...
 
+    def place_obstacles(self, data: mujoco.MjData) -> None:
+        """Take over where the mocap bodies are."""
+        ...
+
 
 def build_execution(problem: Problem) -> Execution:
     """Return what carries out the commands of a run, at its start.
@@ -96,6 +100,9 @@ class Kinematic:
     def carry_out(self, step: Step) -> None:
         """Move."""
         self._q = step.q
+
+    def place_obstacles(self, data: mujoco.MjData) -> None:
+        """Do nothing: here no obstacle is run into."""
 
 
 class Actuated:
@@ -202,6 +209,10 @@ class Actuated:
             mujoco.mj_checkVel(model, data)
         if warnings:
             self.fault = f"the simulation failed, and the run ends there: {warnings[0]}"
+
+    def place_obstacles(self, data: mujoco.MjData) -> None:
+        """Put the mocap bodies of the physics where they are."""
+        self._data.mocap_pos[:], self._data.mocap_quat[:] = data.mocap_pos, data.mocap_quat
 
     def _followed(self, v: Array) -> Array:
         """Return the velocity (nv,) of the set points: v, held back where no joint can follow.

@@ -2,7 +2,6 @@
 
 import math
 from struct import Struct
-from struct import error as StructError
 from typing import Any
 
 import mujoco
@@ -40,11 +39,25 @@ def sane(array: Array) -> bool:
     return bool(np.maximum.reduce(np.absolute(array), axis=None) < LARGEST)  # NaN is not less
 
 
+def numbers(value: Any, size: int) -> Array | None:
+    """Return real numbers (size,) as floats, not copied if they are; None if value is none."""
+    try:
+        array = np.asarray(value)
+    except Exception:  # arrays of other libraries raise what they like, as PyTorch's on a GPU
+        return None
+    if array.dtype.kind not in "fiu" or array.shape != (size,):
+        return None
+    if array.dtype != float:
+        with np.errstate(over="ignore"):  # a longer float may be beyond all floats
+            return array.astype(float)
+    return array
+
+
 class Configurations:
     """Reads configurations (nq,) of one model."""
 
     def __init__(self, model: mujoco.MjModel):
-        self.size = int(model.nq)
+        self.size, self.rates = int(model.nq), int(model.nv)
         self._quaternions = [
             int(model.jnt_qposadr[joint]) + width - 4
             for joint in range(model.njnt)
@@ -53,15 +66,10 @@ class Configurations:
 
     def read(self, q: object) -> Array | None:
         """Return q as a new array (nq,) with unit quaternions, or None if it is not valid."""
-        try:
-            array = np.array(q)
-        except (TypeError, ValueError, OverflowError):
+        given = numbers(q, self.size)
+        if given is None or not sane(given):
             return None
-        if array.dtype.kind not in "fiu" or array.shape != (self.size,):
-            return None
-        array = array.astype(float, copy=False)
-        if not sane(array):
-            return None
+        array = np.array(given)
         for first in self._quaternions:
             quaternion = array[first : first + 4]
             norm = math.sqrt(quaternion.dot(quaternion))
@@ -69,6 +77,11 @@ class Configurations:
                 return None
             quaternion /= norm
         return array
+
+    def read_velocity(self, v: object) -> Array | None:
+        """Return v as a new array (nv,), or None if it is not valid."""
+        given = numbers(v, self.rates)
+        return np.array(given) if given is not None and sane(given) else None
 
 
 class Targets:
@@ -89,94 +102,103 @@ class Targets:
     ) -> bool:
         """Write a target if all of it is valid; return whether it was."""
         kind, name = term.target_kind, term.name
-        try:
-            if kind == "pose" and q is None and direction is None:
-                return self._take_pose(name, position, quaternion, velocity)
-            given = (position, quaternion, velocity, q, direction)
-            if any(given[k] is not None for k in _FOREIGN[kind]):
+        if kind == "pose" and q is None and direction is None:
+            return self._take_pose(name, position, quaternion, velocity)
+        given = (position, quaternion, velocity, q, direction)
+        if any(given[k] is not None for k in _FOREIGN[kind]):
+            return False
+        if kind == "point" and position is not None:
+            return self._take_point(name, position, velocity)
+        if kind == "rates":
+            return self._write(name, self._configurations.read_velocity(velocity))
+        if kind == "configuration":
+            return self._write(name, self._configurations.read(q))
+        if kind == "direction":
+            axis = numbers(direction, 3)
+            if axis is None or not sane(axis):
                 return False
-            if kind == "point" and position is not None:
-                return self._take_point(name, position, velocity)
-            if kind == "rates":
-                return self._write(name, velocity)
-            if kind == "configuration":
-                return self._write(name, self._configurations.read(q))
-            if kind == "direction":
-                axis = np.asarray(direction, dtype=float)
-                length = math.sqrt(axis.dot(axis)) if axis.shape == (3,) and sane(axis) else 0.0
-                return length > ZERO_NORM and self._write(
-                    name, axis / length, velocity, slice(3, 6)
-                )
-            return False
-        except (
-            TypeError,
-            ValueError,
-            OverflowError,
-            StructError,
-        ):  # not numbers, or of another shape
-            return False
+            length = math.sqrt(axis.dot(axis))
+            return length > ZERO_NORM and self._write(name, axis / length, velocity, slice(3, 6))
+        return False
 
     def _write(
-        self,
-        name: str,
-        value: ArrayLike | None,
-        velocity: ArrayLike | None = None,
-        part: slice = slice(0),
+        self, name: str, value: Array | None, velocity: Any = None, part: slice = slice(0)
     ) -> bool:
         """Write a whole target, and its velocity as a part of its twist."""
-        evaluation = self._evaluation
-        target, new = evaluation.target[name], np.asarray(value, dtype=float)
-        if new.shape != target.shape or not sane(new):
+        if value is None or not self._move(name, velocity, part):
             return False
-        if velocity is None or part == slice(0):
-            evaluation.stop(name)
-        else:
-            moving = np.asarray(velocity, dtype=float)
-            if moving.shape != (3,) or not sane(moving):
-                return False
-            evaluation.twist[name][part] = moving
-            evaluation.moving.add(name)
-        target[:] = new
+        self._evaluation.target[name][:] = value
         return True
 
-    def _take_point(self, name: str, position: Any, velocity: ArrayLike | None) -> bool:
-        if velocity is not None:
-            return self._write(name, position, velocity, slice(3))
-        a, b, c = position.tolist() if type(position) is np.ndarray else position
+    def _move(self, name: str, velocity: Any, part: slice) -> bool:
+        """Write a target's velocity as a part of its twist; without one it rests."""
+        evaluation = self._evaluation
+        if velocity is None:
+            evaluation.stop(name)
+            return True
+        twist = numbers(velocity, part.stop - part.start)
+        if twist is None or not sane(twist):
+            return False
+        evaluation.twist[name][part] = twist
+        evaluation.moving.add(name)
+        return True
+
+    def _take_point(self, name: str, position: Any, velocity: Any) -> bool:
+        point = numbers(position, 3)
+        if point is None:
+            return False
+        a, b, c = point.tolist()
         if not a * a + b * b + c * c < LARGEST**2:  # NaN is not less
             return False
+        if not self._move(name, velocity, slice(0, 3)):
+            return False
         _POINT.pack_into(self._evaluation.target[name], 0, a, b, c)  # pyright: ignore
-        self._evaluation.stop(name)
         return True
 
-    def _take_pose(
-        self,
-        name: str,
-        position: Any,
-        quaternion: Any,
-        velocity: ArrayLike | None,
-    ) -> bool:
+    def _take_pose(self, name: str, position: Any, quaternion: Any, velocity: Any) -> bool:
         """Write a pose; on seven numbers plain floats are faster than arrays."""
-        evaluation = self._evaluation
-        target, k = evaluation.target[name], 1.0
+        target, k = self._evaluation.target[name], 1.0
         w, x, y, z, a, b, c = target.tolist()
         if position is not None:
-            a, b, c = position.tolist() if type(position) is np.ndarray else position
+            point = numbers(position, 3)
+            if point is None:
+                return False
+            a, b, c = point.tolist()
             if not a * a + b * b + c * c < LARGEST**2:  # NaN is not less
                 return False
         if quaternion is not None:
-            w, x, y, z = quaternion.tolist() if type(quaternion) is np.ndarray else quaternion
+            turn = numbers(quaternion, 4)
+            if turn is None:
+                return False
+            w, x, y, z = turn.tolist()
             square = w * w + x * x + y * y + z * z
             if not ZERO_NORM**2 < square < LARGEST**2:
                 return False
             k = 1.0 / math.sqrt(square)
-        if velocity is None:
-            evaluation.stop(name)
-        else:
-            twist = np.asarray(velocity, dtype=float)
-            if twist.shape != (6,) or not sane(twist):
-                return False
-            evaluation.twist[name][:] = twist
-            evaluation.moving.add(name)
+        if not self._move(name, velocity, slice(0, 6)):
+            return False
         _POSE.pack_into(target, 0, w * k, x * k, y * k, z * k, a, b, c)  # pyright: ignore
         return True
+
+    @staticmethod
+    def pose(
+        position: Array,
+        quaternion: Array,
+        new_position: ArrayLike | None,
+        new_quaternion: ArrayLike | None,
+        velocity: ArrayLike | None,
+    ) -> Array | None:
+        """Return a pose and its twist (13,), xyz, wxyz, linear, angular; None if it is not valid.
+
+        Without a new position or quaternion they are the present ones, without a velocity 0.
+        """
+        place = position if new_position is None else numbers(new_position, 3)
+        turn = quaternion if new_quaternion is None else numbers(new_quaternion, 4)
+        twist = np.zeros(6) if velocity is None else numbers(velocity, 6)
+        if place is None or turn is None or twist is None:
+            return None
+        pose = np.concatenate([place, turn, twist])
+        if not sane(pose) or not (norm := math.sqrt(turn.dot(turn))) >= ZERO_NORM:
+            return None
+        pose[3:7] /= norm
+        return pose

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.config.models import Config
-from rmrc.control.aims import build_aims, unfinished
-from rmrc.control.controller import ACTIVE_MULTIPLIER, Controller
+from rmrc.control.aims import build_aims, build_obstacles, unfinished
+from rmrc.control.controller import Controller
 from rmrc.control.execution import State, build_execution
 from rmrc.control.follow import FOLLOWERS
+from rmrc.control.measure import Margin, Measure
 from rmrc.control.methods import shortcomings
-from rmrc.control.step import Status, Step
+from rmrc.control.step import ACTIVE_MULTIPLIER, Status, Step
 from rmrc.problem.compile import compile
 from rmrc.problem.problem import Problem
 from rmrc.record.deviation import line_deviations, line_summary
@@ -47,7 +48,7 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     """
     problem = config if isinstance(config, Problem) else compile(config)
     controller = Controller(problem)
-    aims = build_aims(problem)
+    aims, obstacles = build_aims(problem), build_obstacles(problem)
     follower = FOLLOWERS[problem.config.follow](controller, aims)
     execution = build_execution(problem)
     targets = controller.engine.evaluation.target
@@ -60,6 +61,9 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
             now = k * problem.dt
             for aim in aims:
                 aim.sample(now)
+            for obstacle in obstacles:
+                obstacle.move(now, controller)
+            execution.place_obstacles(controller.engine.evaluation.data)
             begin = time.perf_counter_ns()
             step = follower.step(now, execution.feedback())
             elapsed = time.perf_counter_ns() - begin
@@ -101,6 +105,11 @@ class _Log:
         self.kkt = np.zeros(count)
         self.step_time = np.zeros(count)
         self.sigma_min = np.zeros(count)
+        self._measure = Measure(problem)
+        self.margin = {kind: np.full(count, np.inf) for kind in self._measure.kinds}
+        self._least: dict[str, Margin] = {}
+        moved = bool(problem.config.obstacles)
+        self.mocap = np.zeros((count, 7 * model.nmocap)) if moved else None
         self.error = {t.name: np.zeros((count, len(t.units))) for t in problem.terms if t.units}
 
     def add(self, k: int, now: float, step: Step, state: State, nanoseconds: int) -> None:
@@ -116,6 +125,13 @@ class _Log:
         self.sigma_min[k] = self.controller.engine.assembly.sigma_min()
         for name, values in self.error.items():
             values[k] = state.error[name]
+        data = self.controller.engine.evaluation.data
+        for kind, margin in self._measure.at(state.q, step.v, data).items():
+            self.margin[kind][k] = margin.room
+            if kind not in self._least or margin.room < self._least[kind].room:
+                self._least[kind] = margin
+        if self.mocap is not None:
+            self.mocap[k] = np.hstack([data.mocap_pos, data.mocap_quat]).ravel()
         self.done = k + 1
 
     def run(self, solves: int) -> Run:
@@ -123,7 +139,10 @@ class _Log:
         rows: dict[str, Any] = {name: getattr(self, name)[: self.done] for name in _ROWS}
         if self.q_commanded is not None:
             rows["q_commanded"] = self.q_commanded[: self.done]
+        if self.mocap is not None:
+            rows["mocap"] = self.mocap[: self.done]
         error = {name: values[: self.done] for name, values in self.error.items()}
+        margin = {kind: values[: self.done] for kind, values in self.margin.items()}
         record = manifest(problem, STATUSES)
         converging = {
             term.name: range(len(term.units))
@@ -145,6 +164,7 @@ class _Log:
             method=config.method,
             tolerance={"m": config.tolerance.position, "rad": config.tolerance.orientation},
             converging=converging,
+            least={kind: (m.room, m.unit, m.name) for kind, m in self._least.items()},
         )
         record["summary"]["solves"] = solves
         for name, line in line_deviations(problem, rows["q"]).items():
@@ -153,4 +173,4 @@ class _Log:
         record["notices"] = [*self.unfinished, *self._notices, *record["notices"]]
         if self.interrupted or self.unfinished:
             record["summary"]["converged"] = False
-        return Run(**rows, error=error, manifest=record)
+        return Run(**rows, error=error, margin=margin, manifest=record)

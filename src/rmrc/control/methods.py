@@ -14,7 +14,9 @@ from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.assemble import Assembly, square_root
+from rmrc.qp.cascade import WHOLE
 from rmrc.qp.program import KKT, Solution, SolveStatus
+from rmrc.qp.rows import Rows
 
 Array = NDArray[np.float64]
 
@@ -72,25 +74,25 @@ def _descent(ask: Ask) -> Array:
     return found.q / ask.dt
 
 
-METHODS: dict[str, Callable[[Ask], Array]] = {
+METHODS: dict[str, Callable[[Ask], Array | reference.Saturation]] = {
     "inverse": lambda ask: reference.inverse(ask.jacobian, ask.rate),
     "transpose": lambda ask: reference.transpose(ask.jacobian, ask.rate),
     "pinv": lambda ask: reference.pinv(ask.jacobian, ask.rate),
     "weighted": lambda ask: reference.weighted(ask.jacobian, ask.rate, ask.metric),
     "dls": lambda ask: reference.weighted_dls(
-        ask.jacobian, ask.rate, ask.metric, ask.weight, ask.problem.damping
+        ask.jacobian, ask.rate, ask.metric, ask.weight, ask.assembly.damping
     ),
     "sdls": lambda ask: reference.selectively_damped(ask.jacobian, ask.rate * ask.dt) / ask.dt,
     "nullspace": lambda ask: reference.prioritized(
         [(level.rows, level.rate) for level in ask.assembly.levels()[:-1]],
-        damping=ask.problem.damping * math.sqrt(ask.assembly.unit),
+        damping=ask.assembly.damping * math.sqrt(ask.assembly.unit),
     ),
-    "saturated": lambda ask: reference.saturated(
+    "saturated": lambda ask: reference.saturate(
         ask.jacobian, ask.rate, ask.assembly.qp.lb, ask.assembly.qp.ub
     ),
     "descent": _descent,
 }
-"""The closed form of each method."""
+"""The closed form of each method: v (n,), with what the limits did to it where it keeps them."""
 
 WITHIN_LIMITS = frozenset({"saturated"})
 """The methods that keep the limits of the joints."""
@@ -116,9 +118,14 @@ def shortcomings(problem: Problem) -> list[str]:
         return lines
     if method not in WITHIN_LIMITS:
         lines.append(f"method {method} keeps no limits; what it passes is counted as violations")
+    elif problem.barriers or problem.speeds or problem.mink_limits:
+        lines.append(f"method {method} keeps the limits of the joints, and no others")
     if absent := ignored(problem):
         names = ", ".join(term.name for term in absent)
         lines.append(f"method {method} has no place for the tasks {names}")
+    if problem.mink_tasks:
+        names = ", ".join(type(task).__name__ for task in problem.mink_tasks)
+        lines.append(f"method {method} has no place for tasks of mink's: {names}")
     return lines
 
 
@@ -126,13 +133,18 @@ class ClosedFormEngine:
     """Turns q, v_prev, the targets and dt into the v of a closed form."""
 
     name = "python"
-    scaled = relaxed = False
+    relaxed = damped = False
+    deadline = math.inf
+    share = 1.0
 
     def __init__(self, problem: Problem):
         self.problem = problem
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
+        self.rows = Rows(problem, self.evaluation)
         self.outside = False
+        self.scaled = False
+        """Whether the limits slowed the task down at the last step."""
         self._method = METHODS[problem.config.method]
         left_out = {term.name for term in ignored(problem)}
         kept = [t for t in self.evaluation.terms if not t.joint and t.name not in left_out]
@@ -152,6 +164,12 @@ class ClosedFormEngine:
     def _misfit(self) -> Mistake | None:
         """Return why the method cannot run on this problem at all."""
         method, n, rows = self.problem.config.method, self.problem.dofs.size, self._rows.size
+        if hard := [term.name for term in self.problem.terms if term.hard]:
+            return Mistake(
+                ("method",),
+                f"{method} has no place for hard tasks: {', '.join(hard)}; "
+                "take qp, or set `hard: false`",
+            )
         if not rows and method not in ALL_LEVELS:
             return Mistake(
                 ("method",), f"{method} needs a task with a weight on a frame or a point"
@@ -195,11 +213,15 @@ class ClosedFormEngine:
         solution = Solution.at_rest(qp)
         solution.kkt = UNCERTIFIED
         try:
-            v = self._method(ask)
+            found = self._method(ask)
         except ValueError:
-            v = np.full(qp.g.size, np.nan)
-        if np.isfinite(v).all():
-            solution.v, solution.status = v, SolveStatus.SOLVED
+            found = np.full(qp.g.size, np.nan)
+        scale = 1.0
+        if isinstance(found, reference.Saturation):
+            found, scale, solution.bound_multiplier = found
+        self.scaled = scale < 1.0 - WHOLE
+        if np.isfinite(found).all():
+            solution.v, solution.status = found, SolveStatus.SOLVED
         else:
             solution.v = np.clip(solution.v, qp.lb, qp.ub)
         return solution

@@ -1,7 +1,9 @@
 """`Step` and `Status`: what a controller returns, and what happened on the way."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +11,15 @@ from numpy.typing import NDArray
 from rmrc.problem.evaluation import Evaluation
 from rmrc.qp.program import Solution
 
+if TYPE_CHECKING:
+    from rmrc.control.engine import PythonEngine
+    from rmrc.control.explain import Explanation
+    from rmrc.control.methods import ClosedFormEngine
+
 Array = NDArray[np.float64]
+
+ACTIVE_MULTIPLIER = 1e-7
+"""A limit is active where its multiplier is above this, in the program's unit."""
 
 
 class Status(IntEnum):
@@ -37,7 +47,7 @@ ADVICE = {
     Status.OK: "Solved; no limit is active.",
     Status.LIMITED: "Solved; at least one joint is at a limit, so the task may lag behind.",
     Status.SCALED: "A direction-preserving task runs slower than asked, to stay inside the limits.",
-    Status.DAMPED: "The robot is near a singularity and the damping is above its floor.",
+    Status.DAMPED: "The damping is above its floor: near a singularity, or far from the target.",
     Status.RECOVERING: "A joint is outside its range and is moving back inside.",
     Status.RELAXED: "A collision or equality row could not hold and was given slack.",
     Status.STUCK: "The error is above tolerance and no progress is possible inside the limits.",
@@ -73,12 +83,88 @@ class Errors(Mapping[str, Array]):
         return sum(1 for _ in self)
 
 
+class Moment:
+    """What a step was computed from, kept so that it can be explained later."""
+
+    __slots__ = (
+        "_blocks",
+        "_moving",
+        "_obstacles",
+        "_rows",
+        "_targets",
+        "a_previous",
+        "dt",
+        "engine",
+        "q",
+        "share",
+        "v_previous",
+    )
+
+    def __init__(
+        self,
+        engine: "PythonEngine | ClosedFormEngine",
+        q: Array,
+        v_previous: Array,
+        a_previous: Array,
+        dt: float,
+    ):
+        self.engine = engine
+        self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
+        self.share = engine.share
+        evaluation = engine.evaluation
+        self._targets = evaluation.targets.copy()
+        self._moving = self._obstacles = None
+        if evaluation.moving:
+            self._moving = (set(evaluation.moving), evaluation.twists.copy())
+        if evaluation.model.nmocap:
+            self._obstacles = evaluation.obstacles()
+        self._rows = engine.rows.kept() if engine.rows.count else None
+
+    @contextmanager
+    def restored(self) -> Iterator[None]:
+        """Have the engine at this moment again, and afterwards its targets as they were."""
+        engine = self.engine
+        now = Moment(engine, self.q, self.v_previous, self.a_previous, self.dt)
+        self._write()
+        engine.evaluation.a_previous[:] = self.a_previous
+        engine.prepare(self.q, self.v_previous, self.dt)
+        try:
+            yield
+        finally:
+            now._write()
+
+    def _write(self) -> None:
+        """Write the targets and the obstacles of this moment into the engine's evaluation."""
+        evaluation = self.engine.evaluation
+        evaluation.targets[:] = self._targets
+        evaluation.moving.clear()
+        evaluation.feedforward[:] = 0.0
+        if self._moving is not None:
+            evaluation.moving.update(self._moving[0])
+            evaluation.twists[:] = self._moving[1]
+        if self._obstacles is not None:
+            evaluation.place(self._obstacles)
+
+    def named_row(self, row: int) -> tuple[str, str, float, float]:
+        """Return the kind of limit that a row belongs to, what it is of, its lo and its hi."""
+        assert self._rows is not None
+        return self._rows.described(row)
+
+
 class Step:
     """One control step: the command, and what there is to know about it."""
 
-    __slots__ = ("error", "flag_bits", "q", "solution", "v")
+    __slots__ = ("error", "flag_bits", "moment", "q", "solution", "v")
 
-    def __init__(self, v: Array, q: Array, flag_bits: int, error: Errors, solution: Solution):
+    def __init__(
+        self,
+        v: Array,
+        q: Array,
+        flag_bits: int,
+        error: Errors,
+        solution: Solution,
+        moment: Moment,
+    ):
         self.v = v
         """Joint velocity to command (nv,), rad/s or m/s; always finite and inside the box."""
         self.q = q
@@ -89,6 +175,14 @@ class Step:
         """True errors of the tasks before the step, by name."""
         self.solution = solution
         """What the backend returned, with its certificate."""
+        self.moment = moment
+        """What it was computed from."""
+
+    def explain(self) -> "Explanation":
+        """Return what binds, what each task asked for and got, and which limit would help most."""
+        from rmrc.control.explain import explain  # which needs this module
+
+        return explain(self)
 
     @property
     def status(self) -> Status:

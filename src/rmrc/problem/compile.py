@@ -1,5 +1,6 @@
 """Config and MjModel to `Problem`: every name is resolved here, once."""
 
+import math
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
@@ -9,40 +10,26 @@ import numpy as np
 from mink.tasks import BaseTask
 from numpy.typing import NDArray
 
-from rmrc.config.limits import LimitsModel, PerJoint
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config
 from rmrc.errors import ModelError, SolverError
-from rmrc.problem.configuration import (
-    dof_of_joint,
-    free_dofs,
-    joint_dofs,
-    joint_type,
-    normalized,
-    resolve_configuration,
-)
+from rmrc.problem.configuration import dof_of_joint, normalized, resolve_configuration
 from rmrc.problem.frames import names
-from rmrc.problem.limits.box import Box
+from rmrc.problem.limits.joints import compile_box, select
+from rmrc.problem.limits.rows import compile_barriers, compile_speeds
 from rmrc.problem.problem import Problem
 from rmrc.problem.scene import load_model
 from rmrc.problem.tasks.base import FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
+from rmrc.problem.tasks.loop import LoopTerm, equality_name
 from rmrc.qp.backends import create
 
 Array = NDArray[np.float64]
 Result = TypeVar("Result")
 
-HINGE_SPEED = np.pi
-"""Cap in rad/s of a joint without a stated velocity limit."""
 MOST_STEPS = 10_000_000
 """Steps of a run, whose arrays are allocated at its start."""
-SLIDE_SPEED = 1.0
-"""Cap in m/s of a joint without a stated velocity limit."""
-
-_FREE = mujoco.mjtJoint.mjJNT_FREE
-_BALL = mujoco.mjtJoint.mjJNT_BALL
-_SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 
 
 def compile(
@@ -86,6 +73,59 @@ class _Compiler:
     def problem(
         self, mink_tasks: tuple[BaseTask, ...], mink_limits: tuple[mink.Limit, ...]
     ) -> Problem:
+        config, mistakes = self._config, self._mistakes
+        model, start = self._model_at_start()
+        terms = self._terms(model, start)
+        dofs = self._try(("dofs",), lambda: _dofs(model, config.dofs))
+        metric = self._try(("metric",), lambda: _metric(model, config))
+        box, notices = compile_box(model, config.limits, mistakes)
+        for term in terms:
+            if isinstance(term, FreezeTerm):
+                box.velocity[term.dofs] = 0.0
+        moving = np.arange(model.nv) if dofs is None else dofs
+        barriers = compile_barriers(model, config.limits, moving, mistakes, notices)
+        speeds = compile_speeds(config.limits, terms, mistakes)
+        self._try_solver()
+        self._try_mink(mink_tasks, mink_limits, model, start)
+        self._stop_on_mistakes()
+        assert dofs is not None
+        assert metric is not None
+        inertia = float(config.metric == "inertia") + sum(
+            term.inertia * config.soft_ratio**term.level
+            for term in terms
+            if isinstance(term, KineticEnergyTerm)
+        )
+        strict = config.priority == "strict"
+        solver, timeout = config.solver, config.timeout
+        return Problem(
+            config=config,
+            model=model,
+            start=start,
+            dt=config.dt,
+            dofs=dofs,
+            terms=terms,
+            metric=metric,
+            inertia=inertia,
+            damping=config.damping.lambda_,
+            soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
+            strict=strict,
+            box=select(box, dofs),
+            notices=(
+                *notices,
+                *_damping_notices(config, bool(metric.any() or inertia)),
+                *_equality_notices(model, terms),
+            ),
+            barriers=barriers,
+            speeds=speeds,
+            deadline=1e-6 * (solver.deadline or math.inf),
+            target_timeout=timeout.target or math.inf,
+            measurement_timeout=timeout.measurement or math.inf,
+            mink_tasks=mink_tasks,
+            mink_limits=mink_limits,
+        )
+
+    def _model_at_start(self) -> tuple[mujoco.MjModel, Array]:
+        """Return the model and the start configuration, without which nothing else is tried."""
         config = self._config
         model = self._try(("scene",), lambda: load_model(config.scene, config.root))
         self._stop_on_mistakes()
@@ -102,57 +142,28 @@ class _Compiler:
         start = self._try(("start",), lambda: start_configuration(model, config))
         self._stop_on_mistakes()
         assert start is not None
-        terms = self._terms(model, start)
-        dofs = self._try(("dofs",), lambda: _dofs(model, config.dofs))
-        metric = self._try(("metric",), lambda: _metric(model, config))
-        box, notices = self._box(model, config.limits, terms)
-        solver = config.solver
+        return model, start
+
+    def _try_solver(self) -> None:
+        solver = self._config.solver
         self._try(
             ("solver", "backend"),
             lambda: create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance),
         )
-        for task in mink_tasks:
+
+    def _try_mink(
+        self,
+        tasks: tuple[BaseTask, ...],
+        limits: tuple[mink.Limit, ...],
+        model: mujoco.MjModel,
+        start: Array,
+    ) -> None:
+        """Evaluate what is mink's once."""
+        for task in tasks:
             self._try((), lambda task=task: _evaluated(task, model, start))
         configuration = mink.Configuration(model, start)
-        for limit in mink_limits:
+        for limit in limits:
             self._try((), lambda limit=limit: limit.compute_qp_inequalities(configuration, 1.0))
-        if mink_limits and (config.priority == "strict" or any(t.preserve for t in terms)):
-            self._mistakes.append(
-                Mistake(("priority",), "limits of mink's are rows, which strict levels do not take")
-            )
-        self._stop_on_mistakes()
-        assert dofs is not None
-        assert metric is not None
-        inertia = float(config.metric == "inertia") + sum(
-            term.inertia * config.soft_ratio**term.level
-            for term in terms
-            if isinstance(term, KineticEnergyTerm)
-        )
-        if not config.damping.lambda_ and not metric.any() and not inertia:
-            notices.append("λ is 0 and there is no metric: near a singularity rates are unbounded")
-        if "damping" not in config.model_fields_set:
-            notices.append(f"the damping is the default, λ = {config.damping.lambda_:g}")
-        for equality in range(model.neq):
-            name = model.equality(equality).name or f"equality {equality}"
-            notices.append(f"the model's equality constraint '{name}' is not held")
-        strict = config.priority == "strict"
-        return Problem(
-            config=config,
-            model=model,
-            start=start,
-            dt=config.dt,
-            dofs=dofs,
-            terms=terms,
-            metric=metric,
-            inertia=inertia,
-            damping=config.damping.lambda_,
-            soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
-            strict=strict,
-            box=_select(box, dofs),
-            notices=tuple(notices),
-            mink_tasks=mink_tasks,
-            mink_limits=mink_limits,
-        )
 
     def _terms(self, model: mujoco.MjModel, start: Array) -> tuple[Term, ...]:
         made = []
@@ -160,92 +171,25 @@ class _Compiler:
             made.append(self._try(("tasks", index), lambda task=task: task.compile(model, start)))
         return tuple(term for term in made if term is not None)
 
-    def _box(
-        self, model: mujoco.MjModel, limits: LimitsModel, terms: tuple[Term, ...]
-    ) -> tuple[Box, list[str]]:
-        notices: list[str] = []
-        lower, upper = self._ranges(model, limits, notices)
-        speed = self._per_joint(model, "velocity", limits.velocity)
-        defaulted = _unstated(model, speed) if limits.velocity != "off" else []
-        for joint in defaulted:
-            slide = joint_type(model, joint) == _SLIDE
-            speed[joint_dofs(model, joint)] = SLIDE_SPEED if slide else HINGE_SPEED
-        if defaulted:
-            notices.append(
-                f"joints without a stated velocity limit are capped at π rad/s and 1 m/s: "
-                f"{_listed(model, defaulted)}"
-            )
-        if limits.velocity == "off":
-            notices.append("velocity limits are off")
-        if free_dofs(model).size:
-            notices.append("the floating base has no speed limit")
-        for term in terms:
-            if isinstance(term, FreezeTerm):
-                speed[term.dofs] = 0.0
-        box = Box(
-            coordinate=_coordinates(model),
-            lower=lower,
-            upper=upper,
-            gain=1.0 if limits.position == "off" else limits.position.gain,
-            velocity=speed,
-            acceleration=self._per_joint(model, "acceleration", limits.acceleration),
-        )
-        return box, notices
 
-    def _ranges(
-        self, model: mujoco.MjModel, limits: LimitsModel, notices: list[str]
-    ) -> tuple[Array, Array]:
-        lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-        if limits.position == "off":
-            notices.append("position limits are off")
-            return lower, upper
-        margin = limits.position.margin
-        unlimited = []
-        for joint in range(model.njnt):
-            kind = joint_type(model, joint)
-            if kind == _BALL and model.jnt_limited[joint]:
-                notices.append(f"the range of ball joint '{model.joint(joint).name}' is not held")
-            if kind in (_FREE, _BALL):
-                continue
-            if not model.jnt_limited[joint]:
-                unlimited.append(joint)
-                continue
-            low, high = model.jnt_range[joint]
-            if high - low < 2 * margin:
-                name = model.joint(joint).name
-                self._mistakes.append(
-                    Mistake(
-                        ("limits", "position", "margin"),
-                        f"joint '{name}' has a range of {high - low:.3g}, too short for a margin "
-                        f"of {margin:g} at each end",
-                    )
-                )
-            dof = model.jnt_dofadr[joint]
-            lower[dof], upper[dof] = low + margin, high - margin
-        if "position" not in limits.model_fields_set:
-            notices.append("position limits are on by default, from the model's ranges")
-        if unlimited:
-            notices.append(f"the model gives no range for: {_listed(model, unlimited)}")
-        return lower, upper
+def _damping_notices(config: Config, metric: bool) -> list[str]:
+    """Return what there is to say about the damping, with or without a metric."""
+    damping, notices = config.damping, []
+    if not damping.lambda_ and damping.adapt == "off" and not metric:
+        notices.append("λ is 0 and there is no metric: near a singularity rates are unbounded")
+    if "damping" not in config.model_fields_set:
+        notices.append(f"the damping is the default, λ = {damping.lambda_:g}")
+    return notices
 
-    def _per_joint(self, model: mujoco.MjModel, key: str, limit: PerJoint | str) -> Array:
-        """Return a limit as (nv,), infinite where none is stated."""
-        values = np.full(model.nv, np.inf)
-        if isinstance(limit, str):
-            return values
-        if limit.default is not None:
-            values[:] = limit.default
-            values[free_dofs(model)] = np.inf
-        for name, value in limit.named.items():
-            dofs = self._try(("limits", key, name), lambda name=name: dof_of_joint(model, name))
-            if dofs is None:
-                continue
-            if np.isin(dofs, free_dofs(model)).any():
-                self._mistakes.append(
-                    Mistake(("limits", key, name), f"'{name}' is a floating base, not a joint")
-                )
-            values[dofs] = value
-        return values
+
+def _equality_notices(model: mujoco.MjModel, terms: tuple[Term, ...]) -> list[str]:
+    """Return which of the model's own equalities no task holds."""
+    held = {i for term in terms if isinstance(term, LoopTerm) for i in term.equalities}
+    absent = np.setdiff1d(np.flatnonzero(model.eq_active0), list(held)).tolist()
+    return [
+        f"the model's equality constraint '{equality_name(model, equality)}' is not held"
+        for equality in absent
+    ]
 
 
 def _evaluated(task: BaseTask, model: mujoco.MjModel, start: Array) -> None:
@@ -285,37 +229,3 @@ def _metric(model: mujoco.MjModel, config: Config) -> Array:
         raise ValueError(f"this model has {model.nv} dofs, and the metric {metric.shape[0]}")
     full = weight_array(config.metric, model.nv)
     return np.diag(full) if full.ndim == 1 else full
-
-
-def _coordinates(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Return the address in qpos of each dof that is a hinge or a slide, 0 for the others."""
-    addresses = np.zeros(model.nv, dtype=np.intp)
-    for joint in range(model.njnt):
-        if joint_type(model, joint) not in (_FREE, _BALL):
-            addresses[model.jnt_dofadr[joint]] = model.jnt_qposadr[joint]
-    return addresses
-
-
-def _unstated(model: mujoco.MjModel, speed: Array) -> list[int]:
-    """Return the joints, floating bases left out, that have no velocity limit."""
-    return [
-        joint
-        for joint in range(model.njnt)
-        if joint_type(model, joint) != _FREE and np.isinf(speed[model.jnt_dofadr[joint]])
-    ]
-
-
-def _listed(model: mujoco.MjModel, joints: list[int], limit: int = 6) -> str:
-    shown = ", ".join(model.joint(joint).name or f"joint {joint}" for joint in joints[:limit])
-    return shown + (f" and {len(joints) - limit} more" if len(joints) > limit else "")
-
-
-def _select(box: Box, dofs: NDArray[np.intp]) -> Box:
-    return Box(
-        coordinate=box.coordinate[dofs],
-        lower=box.lower[dofs],
-        upper=box.upper[dofs],
-        gain=box.gain,
-        velocity=box.velocity[dofs],
-        acceleration=box.acceleration[dofs],
-    )

@@ -45,9 +45,19 @@ class Evaluation:
         """ẋ_ff of all terms."""
         self.v_previous = np.zeros(problem.model.nv)
         """The velocity of the step before (nv,)."""
-        self.target = {term.name: term.target.copy() for term in problem.terms}
+        self.a_previous = np.zeros(problem.model.nv)
+        """The acceleration of the step before (nv,)."""
+        self.obstacle_twist = np.zeros((problem.model.nmocap, 6))
+        """Velocities of the mocap bodies, linear and angular in the world (nmocap, 6)."""
+        targets = [term.target for term in problem.terms]
+        cuts = np.cumsum([target.size for target in targets[:-1]])
+        self.targets = np.concatenate(targets)
+        """All targets one after another, so that one copy keeps them."""
+        names = [term.name for term in problem.terms]
+        self.target = dict(zip(names, np.split(self.targets, cuts), strict=True))
         """Present targets by task: wxyz + xyz, a point, a direction, qpos or rates."""
-        self.twist = {term.name: np.zeros(6) for term in problem.terms}
+        self.twists = np.zeros((len(names), 6))
+        self.twist = dict(zip(names, self.twists, strict=True))
         """Velocities of the targets (6,), in the axes that their positions are given in."""
         self.moving: set[str] = set()
         """The tasks whose target moves, the only ones with a feed-forward."""
@@ -56,6 +66,10 @@ class Evaluation:
     def rows_of(self, terms: Sequence[Term]) -> slice:
         """Return the rows of e that a run of neighbouring terms fills."""
         return slice(self._slices[terms[0].name].start, self._slices[terms[-1].name].stop)
+
+    def slice_of(self, name: str) -> slice:
+        """Return the rows of one task."""
+        return self._slices[name]
 
     def error_of(self, error: Array, term: Term) -> Array:
         """Return one term's part of an error vector."""
@@ -70,6 +84,15 @@ class Evaluation:
             # Tasks of mink's on the model's equalities read the rows that these fill.
             mujoco.mj_tendon(self.model, self.data)
             mujoco.mj_makeConstraint(self.model, self.data)
+
+    def obstacles(self) -> tuple[Array, Array, Array]:
+        """Return copies of the mocap bodies' positions, quaternions and velocities."""
+        data = self.data
+        return data.mocap_pos.copy(), data.mocap_quat.copy(), self.obstacle_twist.copy()
+
+    def place(self, obstacles: tuple[Array, Array, Array]) -> None:
+        """Put the mocap bodies where they were."""
+        self.data.mocap_pos[:], self.data.mocap_quat[:], self.obstacle_twist[:] = obstacles
 
     def move(self, q: Array, dofs: NDArray[np.intp], step: Array) -> None:
         """Evaluate at q moved by a tangent step over some dofs."""

@@ -19,6 +19,7 @@ OBJECTS: dict[str, mujoco.mjtObj] = {
     "geom": mujoco.mjtObj.mjOBJ_GEOM,
     "joint": mujoco.mjtObj.mjOBJ_JOINT,
     "keyframe": mujoco.mjtObj.mjOBJ_KEY,
+    "equality": mujoco.mjtObj.mjOBJ_EQUALITY,
 }
 _COUNTS = {
     "site": "nsite",
@@ -26,6 +27,7 @@ _COUNTS = {
     "geom": "ngeom",
     "joint": "njnt",
     "keyframe": "nkey",
+    "equality": "neq",
 }
 _JACOBIANS: dict[str, Callable[..., None]] = {
     "site": mujoco.mj_jacSite,

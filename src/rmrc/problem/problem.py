@@ -1,5 +1,6 @@
 """`Problem`: what a controller solves, with every name resolved."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +13,9 @@ from numpy.typing import NDArray
 
 from rmrc.config.models import Config
 from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.box import Box
+from rmrc.problem.limits.speed import FrameSpeed
 from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.frame import FrameTerm
 
@@ -37,7 +40,7 @@ class Problem:
     inertia: float
     """The share of M(q) in A."""
     damping: float
-    """λ."""
+    """λ₀, the floor of λ."""
     soft_ratio: float
     """What multiplies a level's B, once for each level below the highest; 1 if they are strict."""
     strict: bool
@@ -46,6 +49,16 @@ class Problem:
     """The joint limits (n,)."""
     notices: tuple[str, ...]
     """What a user should know: defaults at work, and what has no limit."""
+    barriers: tuple[BarrierLimit, ...] = ()
+    """The distances that stay above 0: collision, workspace, ranges of ball joints."""
+    speeds: tuple[FrameSpeed, ...] = ()
+    """The largest speeds of frames."""
+    deadline: float = math.inf
+    """Time budget of a step, s."""
+    target_timeout: float = math.inf
+    """Age of a target that has been set beyond which it is stale, s."""
+    measurement_timeout: float = math.inf
+    """Age of the measured configuration beyond which it is stale, s."""
     mink_tasks: tuple[BaseTask, ...] = ()
     mink_limits: tuple[mink.Limit, ...] = ()
 

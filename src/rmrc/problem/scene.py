@@ -58,7 +58,16 @@ def _menagerie_path(scene: str) -> Path:
             f"scene '{scene}' needs the package mujoco-menagerie: pip install 'rmrc[menagerie]'"
         ) from None
     try:
-        return mujoco_menagerie.get(name).xml(entry or None)
+        robot = mujoco_menagerie.get(name)
+        robot.entry(entry or None)  # a wrong name must not fetch the whole robot first
+        return robot.xml(entry or None)
+    except (
+        mujoco_menagerie.UnknownRobotError,
+        mujoco_menagerie.UnknownEntryPointError,
+    ) as unknown:
+        raise ModelError(
+            f"scene '{scene}' does not exist: {' '.join(str(unknown).split())}"
+        ) from None
     except Exception as failure:  # its own errors, and those of a download
         reason = " ".join(str(failure).split())
         raise ModelError(

@@ -11,6 +11,8 @@ from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.cascade import Level
+from rmrc.qp.damping import Damping, largest_square
+from rmrc.qp.equalities import Equalities
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
@@ -33,14 +35,16 @@ class Assembly:
 
     min_v Σ ½ (J v − ẋ)ᵀ B (J v − ẋ) + ½ vᵀ A v + ½ λ² ‖v‖², with ẋ = K clamp(e) + ẋ_ff, so that
     H = Σ JᵀBJ + A + λ²I and g = −Σ JᵀB ẋ. The terms with rows go in as W = S J with B = SᵀS, one
-    product WᵀW for all of them; those on the joints themselves add their B as it is.
+    product WᵀW for all of them; those on the joints themselves add their B as it is. Hard tasks
+    have no part in the cost: their rows of W are zero.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation):
         self._problem, self._evaluation = problem, evaluation
         self._dofs = problem.dofs
         self._all = problem.dofs.size == problem.model.nv
-        self.qp = QP(problem.dofs.size, rows=0)
+        self.qp = QP(problem.dofs.size)
+        self._programs = {(0, 0): self.qp}
         self.box = BoxLimit(problem.box)
         rows = evaluation.row_count
         self.unit = self._unit()
@@ -75,10 +79,14 @@ class Assembly:
             (k, self._leveled(term)) for k, term in enumerate(joint_terms) if term.weight.ndim == 2
         ]
         self._constant = self._constant_hessian()
+        self._damping = Damping(problem, evaluation, self._weigh, self.unit)
+        soft = [term for term in evaluation.terms if not term.hard]
         self._leveled_terms = [
-            [term for term in evaluation.terms if term.level == level]
-            for level in sorted({term.level for term in evaluation.terms})
+            [term for term in soft if term.level == level]
+            for level in sorted({term.level for term in soft})
         ]
+        hard = len(soft) < len(evaluation.terms)
+        self._equalities = Equalities(problem, evaluation) if hard else None
         self._inertia = np.empty((problem.model.nv, problem.model.nv))
         self._gradient = np.empty(problem.model.nv)
 
@@ -89,16 +97,23 @@ class Assembly:
         mean something only where the numbers are of the order of 1.
         """
         problem = self._problem
-        weights = [problem.damping**2, *np.diagonal(problem.metric)]
+        weights = [largest_square(problem), *np.diagonal(problem.metric)]
         weights += [problem.inertia * problem.model.dof_M0.max()]
         for term in self._evaluation.terms:
+            if term.hard:
+                continue
             diagonal = term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
             weights.append(diagonal.max() * problem.soft_ratio**term.level)
         largest = float(max(weights))
         return 1.0 / largest if largest > 0.0 else 1.0
 
     def _leveled(self, term: Term) -> Array:
-        """Return B in the program's unit, times `soft_ratio` for each level above the term's."""
+        """Return B in the program's unit, times `soft_ratio` for each level above the term's.
+
+        It is zero for a hard task, which is no cost.
+        """
+        if term.hard:
+            return np.zeros_like(term.weight)
         return term.weight * (self.unit * self._problem.soft_ratio**term.level)
 
     def _diagonal(self, term: Term) -> Array:
@@ -119,8 +134,15 @@ class Assembly:
                 roots.append((rows, root))
         return scale, roots
 
+    def _weigh(self) -> Array:
+        """Return W = S J at the present evaluation, in a buffer kept."""
+        np.multiply(self._scale, self._evaluation.jacobian, out=self._weighted)
+        for part, root in self._roots:
+            self._weighted[part] = root @ self._weighted[part]
+        return self._weighted
+
     def _constant_hessian(self) -> Array:
-        """Return A + λ²I + Σ B of the joint terms (n, n), what no configuration changes."""
+        """Return A + λ₀²I + Σ B of the joint terms (n, n), what no configuration changes."""
         problem = self._problem
         full = self.unit * (problem.metric + problem.damping**2 * np.eye(problem.model.nv))
         full += np.diag(self._joint_weights.sum(axis=0)) if len(self._joint_weights) else 0.0
@@ -133,8 +155,10 @@ class Assembly:
         self._assemble_objective(dt)
         if self._problem.mink_tasks:
             self._add_mink_tasks(dt)
-        v_previous = self._evaluation.v_previous
-        outside = self.box.update(q, v_previous if self._all else v_previous[self._dofs], dt)
+        v_previous, a_previous = self._evaluation.v_previous, self._evaluation.a_previous
+        if not self._all:
+            v_previous, a_previous = v_previous[self._dofs], a_previous[self._dofs]
+        outside = self.box.update(q, v_previous, a_previous, dt)
         self.qp.lb[:], self.qp.ub[:] = self.box.lower, self.box.upper
         return outside
 
@@ -144,7 +168,7 @@ class Assembly:
             # A gain above 1/dt would step past the target.
             np.minimum(self._gain, 1.0 / dt, out=self._capped)
             self._gain_dt = dt
-        weighted, unwanted = self._weighted, self._unwanted
+        weighted, unwanted = self._weigh(), self._unwanted  # W = S J
         np.multiply(self._capped, evaluation.error, out=self.rate)  # K e
         for error, rate, longest in self._clamps:
             length = math.sqrt(error.dot(error))
@@ -152,14 +176,14 @@ class Assembly:
                 rate *= longest / length
         if self._fed or evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
-        np.multiply(self._scale, evaluation.jacobian, out=weighted)  # W = S J
         np.multiply(self._minus_scale, self._row_rate, out=unwanted)  # −S ẋ
         for part, root in self._roots:
-            weighted[part] = root @ weighted[part]
             unwanted[part] = root @ unwanted[part]
         columns = weighted if self._all else weighted[:, self._dofs]
         columns.T.dot(columns, qp.H)  # Σ JᵀBJ
-        qp.H += self._constant  # + A + λ²I + Σ B
+        qp.H += self._constant  # + A + λ₀²I + Σ B
+        if self._damping.adapts:
+            qp.H.flat[:: self._dofs.size + 1] += self.unit * self._damping.update()  # + λ_a²I
         unwanted.dot(columns, qp.g)  # −Σ JᵀB ẋ
         if len(self._joint_rates):
             self._add_joint_rates()
@@ -215,7 +239,7 @@ class Assembly:
         Last comes what picks among equal motions: A, or the least norm.
         """
         n = self._dofs.size
-        damping = max(self.unit * self._problem.damping**2, LEAST_DAMPING) * np.eye(n)
+        damping = max(self.unit * self._damping.square, LEAST_DAMPING) * np.eye(n)
         metric = self.unit * self.metric()
         metric = metric + damping if metric.any() else np.eye(n)
         return [
@@ -247,30 +271,38 @@ class Assembly:
             direction = (np.vstack(jacobians), np.concatenate(wanted))
         return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
+    def equalities(self) -> Equalities | None:
+        """Return what the hard tasks ask for at the present assembly; None without any."""
+        if self._equalities is not None:
+            self._equalities.update(self.rate)
+        return self._equalities
+
+    @property
+    def damping(self) -> float:
+        """λ of the last assembly."""
+        return math.sqrt(self._damping.square)
+
+    @property
+    def damped(self) -> bool:
+        """Whether λ of the last assembly was above its floor."""
+        return self._damping.raised
+
     def sigma_min(self) -> float:
-        """Return the least singular value of W = S J over the rows that have a weight.
+        """Return σ, the least singular value of the tasked rows (see `Damping`); NaN without any.
 
-        NaN without any such row. With more dofs than rows it is that of WWᵀ, so that a task that
-        leaves dofs free is not singular for it.
+        A task that leaves dofs free is not singular for it.
         """
-        rows = self._weighted[np.any(self._weighted != 0.0, axis=1)]
-        if not rows.size:
-            return np.nan
-        least = float(np.linalg.svd(rows[:, self._dofs], compute_uv=False)[-1])
-        return least / math.sqrt(self.unit)
+        sigma = self._damping.singular_values()
+        return float(sigma[-1]) if sigma.size else math.nan
 
-    def resize(self, rows: int) -> None:
-        """Give the program another number of rows; the next solve must set its backend up anew."""
-        old, self.qp = self.qp, QP(self._dofs.size, rows=rows)
-        self.qp.H[:], self.qp.g[:], self.qp.lb[:], self.qp.ub[:] = old.H, old.g, old.lb, old.ub
+    def resize(self, rows: int, equalities: int) -> None:
+        """Give the program another number of rows and equalities: one kept from an earlier step.
 
-    def mink_rows(self, dt: float) -> tuple[Array, Array] | None:
-        """Return the rows C v ≤ hi of mink's limits, which say G Δq ≤ h; None without any."""
-        found = []
-        for limit in self._problem.mink_limits:
-            constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
-            if constraint.G is not None and constraint.h is not None:
-                found.append((constraint.G[:, self._dofs], constraint.h / dt))
-        if not found:
-            return None
-        return np.vstack([g for g, _ in found]), np.concatenate([h for _, h in found])
+        What is written already, of the cost and of the box, goes over.
+        """
+        old = self.qp
+        shape = (rows, equalities)
+        if shape not in self._programs:
+            self._programs[shape] = QP(self._dofs.size, *shape)
+        self.qp = new = self._programs[shape]
+        new.H[:], new.g[:], new.lb[:], new.ub[:] = old.H, old.g, old.lb, old.ub

@@ -4,8 +4,10 @@ Lexicographic least squares with inequalities: Kanoun, Lamiraux and Wieber 2011;
 the levels above by their null space is Escande, Mansard and Wieber's (2014).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +25,20 @@ FASTEST = 1e-10
 """Weight of ‖v‖² beside (α − 1)²; α falls short of its maximum by at most its root times ‖v‖."""
 POLISHED = 1e-10
 """A residual above this is worth a polish: the levels' programs can be nearly singular."""
-REGULARIZATION = (0.0, 1e-9, 1e-7, 1e-5)
-"""What is added to the diagonal, one after another, until a backend solves: these programs are
-nearly singular, and v = 0 or z = 0 is feasible, so that a refusal is one of rounding."""
+ATTEMPTS = (
+    *((0.0, 0.0), (1e-9, 0.0), (1e-7, 0.0), (0.0, 1e-11)),
+    *((0.0, 1e-10), (1e-5, 0.0), (0.0, 1e-8), (0.0, 1e-7)),
+)
+"""What is added to the diagonal and to the room of the rows, one pair on top of another, until a
+backend solves. These programs are nearly singular, with more limits at a corner than variables;
+but z = 0 is feasible, so that a refusal is one of rounding. The box still clips v."""
 SOUND = 1e-7
-"""A residual up to which a solution is taken without more regularization."""
+"""A residual up to which a solution is taken: of limits in rad/s or m/s, of the others relative to
+the largest of 1 and ‖g‖."""
+STILL = 1e-8
+"""A limit that a unit of free motion moves less than this is taken for fixed by those above."""
+EXACT = 1e-12
+"""By how much rounding makes v pass a row or miss an equality, rad/s or m/s."""
 WHOLE = 1e-6
 """A task whose α is less than 1 by more than this runs slower than asked."""
 
@@ -47,11 +58,13 @@ class Level:
 
 
 class Cascade:
-    """Solves levels one after another, each in the null space of those above, inside one box.
+    """Solves levels one after another, each in the null space of those above, inside all limits.
 
-    With v the optimum so far and N a basis of what is free, level k solves over z
+    With v the optimum so far and N a basis of what is free, first the null space of E, level k
+    solves over z
 
-        min ½ ‖W_k (v + N z) − S ẋ_k‖² + ½ (v + N z)ᵀ A (v + N z),  lb ≤ v + N z ≤ ub.
+        min ½ ‖W_k (v + N z) − S ẋ_k‖² + ½ (v + N z)ᵀ A (v + N z)
+        s.t.  lb ≤ v + N z ≤ ub,  lo ≤ C (v + N z) ≤ hi.
 
     v stays feasible, so that no level can fail for what another has done.
     """
@@ -59,52 +72,93 @@ class Cascade:
     def __init__(self, size: int, backend: Callable[[], Backend]):
         self._size = size
         self._backend = backend
+        self._rows = 0
         self._solvers: dict[tuple[int, int, int], tuple[QP, Backend, Certificate]] = {}
         self.scale = 1.0
         """α of the last solve, the least of all preserved directions."""
+        self.deadline = math.inf
+        """When solving has to end, s, by `time.perf_counter`."""
 
-    def solve(self, levels: list[Level], lb: Array, ub: Array) -> Solution:
-        """Return the lexicographic optimum; its multipliers are summed over the levels."""
+    def solve(self, levels: list[Level], limits: QP) -> Solution:
+        """Return the lexicographic optimum inside the limits of a program, whose cost is not read.
+
+        The multipliers of bounds and rows are summed over the levels; those of equalities stay 0.
+        INFEASIBLE: no v was found inside the limits; the residuals are infinite. MAX_ITER: a level
+        could not be solved; v is the feasible optimum of those above it. TIME_LIMIT: either of the
+        two, which the primal residual tells apart.
+        """
         self.scale = 1.0
-        state = _State(np.clip(np.zeros(self._size), lb, ub), None, lb, ub)
-        multiplier, kkt, iterations = np.zeros(self._size), [KKT(0.0, 0.0, 0.0)], 0
-        status = SolveStatus.SOLVED
+        if limits.lo.size != self._rows:  # else a program of each number would be kept
+            self._rows = limits.lo.size
+            self._solvers.clear()
+        answer = Solution.at_rest(limits, SolveStatus.SOLVED)
+        state = _State(limits)
+        entry = self._enter(state)
+        if entry is not None and entry.status is not SolveStatus.SOLVED:
+            answer.v, answer.status = state.v, _unsolved(entry, SolveStatus.INFEASIBLE)
+            return answer
+        kkt = [KKT(0.0, 0.0, 0.0) if entry is None else entry.kkt]
         for level, stage in (
             (level, s) for level in levels for s in (self._fastest, self._nearest)
         ):
+            if not state.count:
+                break
             found = stage(level, state)
             if found is None:
                 continue
-            solution, fixed = found
-            iterations += solution.iterations
+            solution, reach = found
+            answer.iterations += solution.iterations
             if solution.status is not SolveStatus.SOLVED:
-                status = solution.status
+                answer.status = _unsolved(solution, SolveStatus.MAX_ITER)
                 break
-            multiplier += (
-                solution.bound_multiplier if state.free is None else solution.row_multiplier
-            )
+            state.add_multipliers(solution, answer)
             kkt.append(solution.kkt)
-            if not state.move(solution.v, fixed):
-                break
-        worst = KKT(*(float(residual) for residual in np.max(kkt, axis=0)))
-        empty = np.zeros(0)
-        return Solution(state.v, multiplier, empty, empty, iterations, status, worst)
+            state.move(solution.v, reach)
+        answer.v = state.v
+        primal, dual, complementarity = map(max, zip(*kkt, strict=True))
+        answer.kkt = KKT(max(primal, state.passed()), dual, complementarity)
+        return answer
 
-    def _nearest(self, level: Level, state: "_State") -> tuple[Solution, Array]:
-        """Solve a level's least squares; what it fixes is W v."""
-        hessian = level.rows.T @ level.rows + level.metric
-        gradient = hessian @ state.v - level.rows.T @ level.rate
-        qp, solve = self._program(state, 0, 0)
-        qp.H[:] = state.reduced(state.reduced(hessian).T)
-        qp.g[:] = state.reduced(gradient)
+    def _enter(self, state: "_State") -> Solution | None:
+        """Move v to the feasible point nearest to rest, and free what the equalities leave.
+
+        Return the projection, or None where v is feasible as it is.
+        """
+        limits, entry = state.limits, None
+        if not state.passed() <= EXACT:  # nor if that is not a number
+            qp, solve = self._program(self._size, limits.lo.size, limits.f.size)
+            qp.H[:], qp.g[:], qp.lb[:], qp.ub[:] = np.eye(self._size), 0.0, limits.lb, limits.ub
+            qp.C[:], qp.lo[:], qp.hi[:] = limits.C, limits.lo, limits.hi
+            qp.E[:], qp.f[:] = limits.E, limits.f
+            entry = solve()
+            if entry.status is not SolveStatus.SOLVED:
+                return entry
+            state.v = entry.v
+        if limits.f.size:
+            state.free = _null_space(limits.E)
+        return entry
+
+    def _nearest(self, level: Level, state: "_State") -> tuple[Solution, Array] | None:
+        """Solve a level's least squares; return W N, which fixes W v.
+
+        Rows that nothing free moves, as after a preserved direction, have nothing to fix.
+        """
+        reach = state.reduced(level.rows.T).T
+        if reach.size and np.vdot(reach, reach) <= RANK**2:
+            return None
+        qp, solve = self._program(state.count, state.rows)
+        metric = state.reduced(state.reduced(level.metric).T)
+        np.add(reach.T @ reach, metric, out=qp.H)
+        qp.g[:] = reach.T @ (level.rows @ state.v - level.rate)
+        qp.g += state.reduced(level.metric @ state.v)
         state.bound(qp)
-        return solve(), level.rows
+        return solve(), reach
 
     def _fastest(self, level: Level, state: "_State") -> tuple[Solution, Array] | None:
-        """Maximise α in J (v + N z) = α ẋ, 0 ≤ α ≤ 1; what it fixes is J v.
+        """Maximise α in J (v + N z) = α ẋ, 0 ≤ α ≤ 1; return J N, which fixes J v.
 
         Only the part of ẋ that the free motion can give is asked for: at a singularity the rest is
-        lost. Where even α = 0 is outside the box, as for a joint on its way back into its range,
+        lost. Where even α = 0 is outside the limits, as for a joint on its way back into its range,
         the level's least squares takes over.
         """
         if level.direction is None:
@@ -116,8 +170,8 @@ class Cascade:
         wanted = left.T @ rate
         if not wanted.any():
             return None
-        qp, solve = self._program(state, 1, left.shape[1])
-        alpha = qp.g.size - 1
+        qp, solve = self._program(state.count + 1, state.rows, left.shape[1])
+        alpha = state.count
         qp.H[:] = FASTEST * np.eye(alpha + 1)
         qp.H[alpha, alpha] = 1.0
         qp.g[:alpha], qp.g[alpha] = FASTEST * state.reduced(state.v), -1.0
@@ -128,19 +182,19 @@ class Cascade:
         solution = solve()
         if solution.status is SolveStatus.INFEASIBLE:
             return None
-        self.scale = min(self.scale, float(solution.v[alpha]))
+        if solution.status is SolveStatus.SOLVED:
+            self.scale = min(self.scale, float(solution.v[alpha]))
         solution.v, solution.bound_multiplier = (
             solution.v[:alpha],
             solution.bound_multiplier[:alpha],
         )
-        return solution, jacobian
+        return solution, reach
 
     def _program(
-        self, state: "_State", more: int, equalities: int
+        self, size: int, rows: int, equalities: int = 0
     ) -> tuple[QP, Callable[[], Solution]]:
         """Return the program of a shape, kept from step to step, and what solves it."""
-        rows = 0 if state.free is None else self._size
-        shape = (state.count + more, rows, equalities)
+        shape = (size, rows, equalities)
         if shape not in self._solvers:
             qp = QP(*shape)
             self._solvers[shape] = (qp, self._backend(), Certificate(qp))
@@ -148,60 +202,127 @@ class Cascade:
 
         def solve() -> Solution:
             solution = Solution.at_rest(qp)
-            for more in REGULARIZATION:
-                qp.H.flat[:: qp.g.size + 1] += more
+            for more, wider in ATTEMPTS:
+                if more:
+                    qp.H.flat[:: size + 1] += more
+                if wider:
+                    qp.lo -= wider
+                    qp.hi += wider
+                if self.deadline < math.inf:
+                    backend.allow(self.deadline - perf_counter())
                 backend.setup(qp)
                 solution = backend.solve()
-                if certificate.certify(solution) > POLISHED:
+                refused = solution.status is SolveStatus.INFEASIBLE
+                if certificate.certify(solution) > POLISHED and not refused:
                     solution = Polish(qp).improve(solution)
                     certificate.certify(solution)
-                if solution.status is SolveStatus.SOLVED and max(solution.kkt) < SOUND:
-                    break
+                if _is_sound(solution, qp) or solution.status is SolveStatus.TIME_LIMIT:
+                    return solution
+            if solution.status is SolveStatus.SOLVED:
+                solution.status = SolveStatus.MAX_ITER
             return solution
 
         return qp, solve
 
 
-@dataclass(eq=False)
 class _State:
     """v so far, and a basis N (n, r) of what is still free; None stands for the identity."""
 
-    v: Array
-    free: Array | None
-    lb: Array
-    ub: Array
+    def __init__(self, limits: QP) -> None:
+        self.limits = limits
+        self.v = np.minimum(np.maximum(0.0, limits.lb), limits.ub)
+        self.free: Array | None = None
+        self._low, self._high = limits.lb, limits.ub
+        if limits.lo.size:
+            self._low = np.concatenate([limits.lb, limits.lo])
+            self._high = np.concatenate([limits.ub, limits.hi])
+        self._norm = np.ones(0)
 
     @property
     def count(self) -> int:
         """Number of free directions."""
         return self.v.size if self.free is None else self.free.shape[1]
 
+    @property
+    def rows(self) -> int:
+        """Number of limits that are rows of a program over z."""
+        return self.limits.lo.size if self.free is None else self._low.size
+
     def reduced(self, array: Array) -> Array:
         """Return Nᵀ times an array (n, …)."""
         return array if self.free is None else self.free.T @ array
 
+    def _limited(self, motion: Array) -> Array:
+        """Return what of a motion (n, …) the limits are on: itself, and below it C times it."""
+        matrix = self.limits.C
+        return np.concatenate([motion, matrix @ motion]) if len(matrix) else motion
+
+    def passed(self) -> float:
+        """Return by how much v passes the rows or misses the equalities, at most."""
+        limits, worst = self.limits, 0.0
+        if limits.lo.size:
+            at = limits.C @ self.v
+            worst = max(float(np.maximum(limits.lo - at, at - limits.hi).max()), 0.0)
+        if limits.f.size:
+            worst = max(float(np.abs(limits.E @ self.v - limits.f).max()), worst)
+        return worst
+
     def bound(self, qp: QP) -> None:
-        """Write lb ≤ v + N z ≤ ub: as bounds while all is free, as rows afterwards.
+        """Write the limits of v + N z: as they are while all is free, as unit rows afterwards.
 
         Rounding must not shut out z = 0.
         """
-        low, high = np.minimum(self.lb - self.v, 0.0), np.maximum(self.ub - self.v, 0.0)
+        at, n = self._limited(self.v), self.v.size
+        low, high = np.minimum(self._low - at, 0.0), np.maximum(self._high - at, 0.0)
         if self.free is None:
-            qp.lb[: self.count], qp.ub[: self.count] = low, high
-        else:
-            # A joint that the levels above have fixed has a row of rounding, which a solver that
-            # scales rows would take for a limit.
-            fixed = np.sqrt(np.einsum("ij,ij->i", self.free, self.free)) < RANK
-            qp.C[:, : self.count], qp.lo[:], qp.hi[:] = self.free, low, high
-            qp.C[fixed], qp.lo[fixed], qp.hi[fixed] = 0.0, -np.inf, np.inf
+            qp.lb[:n], qp.ub[:n], qp.lo[:], qp.hi[:] = low[:n], high[:n], low[n:], high[n:]
+            qp.C[:, :n] = self.limits.C
+            return
+        moved = self._limited(self.free)
+        norm = np.sqrt(np.einsum("ij,ij->i", moved, moved))
+        # DAQP ignores rows shorter than 3e-6: all are made units, but for those of what the levels
+        # above have fixed, which are rounding and no limits.
+        still = norm < STILL
+        if fixed := still.any():
+            norm[still] = 1.0
+        np.divide(moved, norm[:, None], out=qp.C[:, : self.count])
+        np.divide(low, norm, out=qp.lo)
+        np.divide(high, norm, out=qp.hi)
+        if fixed:
+            qp.C[still] = 0.0
+        self._norm = norm
 
-    def move(self, z: Array, fixed: Array) -> bool:
-        """Add N z to v and keep only what leaves the rows `fixed` alone; return whether any is."""
+    def add_multipliers(self, solution: Solution, total: Solution) -> None:
+        """Add those of the program that was bound last."""
+        bound, rows = solution.bound_multiplier, solution.row_multiplier
+        if self.free is not None:
+            rows = rows / self._norm
+            bound, rows = rows[: self.v.size], rows[self.v.size :]
+        total.bound_multiplier += bound
+        total.row_multiplier += rows
+
+    def move(self, z: Array, reach: Array) -> None:
+        """Add N z to v and keep free only what `reach` (m, r), rows times N, maps to zero."""
         step = z if self.free is None else self.free @ z
-        self.v = np.clip(self.v + step, self.lb, self.ub)
-        inside = _null_space(self.reduced(fixed.T).T)
+        self.v = np.minimum(np.maximum(self.v + step, self.limits.lb), self.limits.ub)
+        inside = _null_space(reach)
         self.free = inside if self.free is None else self.free @ inside
-        return bool(self.free.shape[1])
+
+
+def _unsolved(solution: Solution, status: SolveStatus) -> SolveStatus:
+    """Return the status of an answer for want of this solution."""
+    timed_out = solution.status is SolveStatus.TIME_LIMIT
+    return SolveStatus.TIME_LIMIT if timed_out else status
+
+
+def _is_sound(solution: Solution, qp: QP) -> bool:
+    primal, dual, complementarity = solution.kkt
+    scale = max(1.0, math.sqrt(qp.g.dot(qp.g)))
+    return (
+        solution.status is SolveStatus.SOLVED
+        and primal < SOUND
+        and max(dual, complementarity) < SOUND * scale
+    )
 
 
 def _null_space(matrix: Array) -> Array:

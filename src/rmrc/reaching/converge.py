@@ -1,5 +1,6 @@
 """A pose solved to convergence: the problem's own step, repeated as Gauss–Newton's."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,9 +47,19 @@ class Reacher:
             gain=1.0,
             velocity=np.where(still, 0.0, free),  # frozen joints stay frozen
             acceleration=free,
+            jerk=free,
         )
         terms = tuple(replace(t, gain=np.inf) if t.gain else t for t in problem.terms)
-        self._problem = replace(problem, dt=1.0, terms=terms, box=box)
+        self._problem = replace(
+            problem,
+            dt=1.0,
+            terms=terms,
+            box=box,
+            speeds=(),
+            deadline=math.inf,
+            target_timeout=math.inf,
+            measurement_timeout=math.inf,
+        )
         self.controller = Controller(self._problem)
         """Its targets are what is solved for."""
         tolerance = problem.config.tolerance

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _AXES = ("x", "y", "z")
-_PER_SECOND = {"velocity": "/s", "acceleration": "/s²"}
+Rate = Literal["velocity", "acceleration", "jerk"]
+_PER_SECOND: dict[Rate, str] = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +63,15 @@ def positions(model: dict[str, Any], q: Array) -> list[Channel]:
     return channels
 
 
-def rates(
-    model: dict[str, Any], values: Array, bound: Literal["velocity", "acceleration"]
-) -> list[Channel]:
-    """Return the velocities or accelerations of all degrees of freedom, in their order.
+def rates(model: dict[str, Any], values: Array, bound: Rate) -> list[Channel]:
+    """Return the velocities, accelerations or jerks of all degrees of freedom, in their order.
 
     Args:
-        model: The manifest's `model`; a joint's `velocity` or `acceleration` is its largest rate,
-            null where there is none; for a free joint a pair, of its linear and its angular part.
-        values: Velocities or accelerations (N, nv).
-        bound: Which of the two.
+        model: The manifest's `model`; a joint's `velocity`, `acceleration` or `jerk` is its
+            largest rate, null where there is none; a free joint's may be a pair, of its linear
+            and its angular part.
+        values: Velocities, accelerations or jerks (N, nv).
+        bound: Which of them.
     """
     channels = []
     for joint in model["joints"]:

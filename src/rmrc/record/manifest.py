@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from rmrc.problem.configuration import joint_dofs, joint_type
+from rmrc.problem.limits.joints import held_ranges
 from rmrc.problem.problem import Problem
 
 PACKAGES = ("rmrc", "mujoco", "mink", "numpy", "daqp", "proxsuite", "osqp", "qpsolvers")
@@ -47,14 +48,16 @@ def manifest(problem: Problem, statuses: list[str]) -> dict[str, Any]:
 
 def _model(problem: Problem) -> dict[str, Any]:
     model = problem.model
-    velocity, acceleration = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
-    velocity[problem.dofs] = problem.box.velocity
-    acceleration[problem.dofs] = problem.box.acceleration
+    box = problem.box
+    rates = np.full((3, model.nv), np.inf)
+    rates[:, problem.dofs] = box.velocity, box.acceleration, box.jerk
+    ranges = held_ranges(model, problem.config.limits)
     joints = []
     for joint in range(model.njnt):
         kind, unit = _TYPES[joint_type(model, joint)]
         first = joint_dofs(model, joint)[0]
-        limited = bool(model.jnt_limited[joint]) and kind != "free"
+        velocity, acceleration, jerk = (_finite(float(rate)) for rate in rates[:, first])
+        turning = _finite(float(rates[0, first + 3])) if kind == "free" else None
         joints.append(
             {
                 "name": model.joint(joint).name or f"joint {joint}",
@@ -62,12 +65,13 @@ def _model(problem: Problem) -> dict[str, Any]:
                 "qpos": int(model.jnt_qposadr[joint]),
                 "dof": int(first),
                 "unit": unit,
-                "range": model.jnt_range[joint].tolist() if limited else None,
-                "velocity": _finite(float(velocity[first])),
-                "acceleration": _finite(float(acceleration[first])),
+                "range": ranges[joint].tolist() if np.isfinite(ranges[joint]).all() else None,
+                "velocity": [velocity, turning] if kind == "free" else velocity,
+                "acceleration": acceleration,
+                "jerk": jerk,
             }
         )
-    return {"nq": model.nq, "nv": model.nv, "joints": joints}
+    return {"nq": model.nq, "nv": model.nv, "mocap": 7 * model.nmocap, "joints": joints}
 
 
 def _finite(value: float) -> float | None:

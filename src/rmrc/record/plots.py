@@ -56,6 +56,7 @@ def panels(run: "Run") -> dict[str, Any]:
         *_error_panels(run),
         _joint_panel(run, "Joint positions", positions(run.manifest["model"], run.q)),
         _velocity_panel(run),
+        *_margin_panels(run),
         _status_panel(run),
         _active_panel(run),
         line_panel(run.time, "Largest KKT residual", "", {"residual": run.kkt}),
@@ -176,6 +177,21 @@ def _error_panels(run: "Run") -> list[Panel | None]:
             [mark("tolerance", wanted[unit], unit)] if wanted.get(unit) else (),
         )
         for unit in sorted(curves)
+    ]
+
+
+def _margin_panels(run: "Run") -> list[Panel | None]:
+    """Return one panel for each kind of limit on distances and speeds."""
+    return [
+        line_panel(
+            run.time,
+            f"Room to the {kind} limit",
+            "",
+            {"room": np.where(np.isfinite(room), room, np.nan)},
+            [mark("limit", 0.0, "")],
+            log=False,
+        )
+        for kind, room in run.margin.items()
     ]
 
 

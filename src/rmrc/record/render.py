@@ -153,6 +153,10 @@ def _draw(
     with _context(model, width, height) as context:
         for row in rows:
             data.qpos = run.q[row]
+            if run.mocap is not None:
+                data.mocap_pos, data.mocap_quat = np.split(
+                    run.mocap[row].reshape(-1, 7), [3], axis=1
+                )
             mujoco.mj_forward(model, data)
             mujoco.mjv_updateScene(
                 model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene

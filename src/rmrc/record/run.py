@@ -3,7 +3,7 @@
 import json
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,9 @@ _ARRAYS: dict[str, tuple[DTypeLike, str | None]] = {
     "kkt": (np.float64, None),
     "step_time": (np.float64, None),
     "q_commanded": (np.float64, "nq"),
+    "mocap": (np.float64, "mocap"),
 }
-_OPTIONAL = ("q_commanded",)
+_OPTIONAL = ("q_commanded", "mocap")
 _MANIFEST_KEYS = ("name", "config", "root", "versions", "statuses", "model", "tasks", "summary")
 
 
@@ -77,6 +78,11 @@ class Run:
     manifest: dict[str, Any]
     q_commanded: Array | None = None
     """Set points of the joint controllers (N, nq); None where nothing stands between them and q."""
+    mocap: Array | None = None
+    """Poses of the mocap bodies, xyz + wxyz (N, 7 nmocap); None where none moves."""
+    margin: dict[str, Array] = field(default_factory=dict)
+    """Room to each limit on distances and speeds (N,), below 0 where it is passed; a lower bound
+    where nothing is near."""
 
     def __post_init__(self):
         manifest = {"format": FORMAT, **plain(self.manifest)}
@@ -87,7 +93,7 @@ class Run:
         for name, (dtype, dimension) in _ARRAYS.items():
             if name in _OPTIONAL and getattr(self, name) is None:
                 continue
-            width = () if dimension is None else (int(manifest["model"][dimension]),)
+            width = () if dimension is None else (int(manifest["model"].get(dimension, 0)),)
             array = _fitting(name, getattr(self, name), dtype, (rows, *width))
             object.__setattr__(self, name, array)
         errors = {}
@@ -97,6 +103,11 @@ class Run:
             shape = (rows, len(task["units"]))
             errors[name] = _fitting(f"error.{name}", self.error[name], np.float64, shape)
         object.__setattr__(self, "error", errors)
+        margins = {
+            kind: _fitting(f"margin.{kind}", values, np.float64, (rows,))
+            for kind, values in self.margin.items()
+        }
+        object.__setattr__(self, "margin", margins)
         if rows and self.status.max() >= len(manifest["statuses"]):
             raise RmrcError(f"array 'status' has the value {self.status.max()}, which has no name")
 
@@ -145,14 +156,17 @@ class Run:
         arrays = _read_arrays(directory / TRAJECTORY)
         if missing := [name for name in _ARRAYS if name not in (*arrays, *_OPTIONAL)]:
             raise RmrcError(f"'{directory / TRAJECTORY}' has no array '{missing[0]}'")
-        error = {
-            name.removeprefix("error."): array
-            for name, array in arrays.items()
-            if name.startswith("error.")
-        }
+        error, margin = (
+            {
+                name.removeprefix(prefix): array
+                for name, array in arrays.items()
+                if name.startswith(prefix)
+            }
+            for prefix in ("error.", "margin.")
+        )
         try:
             present = {name: arrays[name] for name in _ARRAYS if name in arrays}
-            return cls(**present, error=error, manifest=manifest)
+            return cls(**present, error=error, margin=margin, manifest=manifest)
         except RmrcError as mistake:
             raise RmrcError(f"'{directory}' is damaged: {mistake}") from None
         except (AttributeError, KeyError, TypeError, ValueError) as mistake:
@@ -174,7 +188,11 @@ class Run:
         for name in _OPTIONAL:
             if arrays[name] is None:
                 del arrays[name]
-        return arrays | {f"error.{name}": array for name, array in self.error.items()}
+        return (
+            arrays
+            | {f"error.{name}": array for name, array in self.error.items()}
+            | {f"margin.{kind}": array for kind, array in self.margin.items()}
+        )
 
 
 def _fitting(

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 # Less than this outside a limit (rad, m, and their rates) is rounding, not a violation.
 ROUNDING = 1e-9
+# Distances between geoms are measured no finer than this, m.
+MEASURED = 1e-6
 
 
 def summarize(
@@ -30,6 +32,7 @@ def summarize(
     method: str,
     tolerance: Mapping[str, float],
     converging: Mapping[str, Collection[int]],
+    least: Mapping[str, tuple[float, str, str]],
 ) -> dict[str, Any]:
     """Return the summary of a run of N steps.
 
@@ -48,8 +51,11 @@ def summarize(
         method: Name of the method.
         tolerance: Largest error at the end that counts as converged, by unit.
         converging: The tasks that must converge, and which columns of their errors.
+        least: The least room of each kind of limit on distances and speeds, its unit, and what it
+            is of.
     """
     acceleration = np.diff(v, axis=0, prepend=np.zeros((1, v.shape[1]))) / dt
+    jerk = np.diff(acceleration, axis=0, prepend=np.zeros((1, v.shape[1]))) / dt
     converged = len(q) > 0 and all(
         bool(error[name][-1, column] <= tolerance[tasks[name]["units"][column]])
         for name, columns in converging.items()
@@ -67,7 +73,8 @@ def summarize(
             "position": _violation(positions(model, q)),
             "velocity": _violation(rates(model, v, "velocity")),
             "acceleration": _violation(rates(model, acceleration, "acceleration")),
-            "collision": _violation([]),
+            "jerk": _violation(rates(model, jerk, "jerk"), ROUNDING / dt),
+            **{kind: _passed(least.get(kind)) for kind in ("collision", "workspace", "speed")},
         },
         "status": {
             name: int(number) for name, number in zip(statuses, counts, strict=True) if number
@@ -94,14 +101,25 @@ def _column(values: Array, unit: str) -> dict[str, Any]:
     }
 
 
-def _violation(channels: Sequence[Channel]) -> dict[str, Any]:
-    """Return the largest excess over the limits, and the joint that it is of."""
+def _violation(channels: Sequence[Channel], rounding: float = ROUNDING) -> dict[str, Any]:
+    """Return the largest excess over the limits, and the joint that it is of.
+
+    Less than `rounding` is none: that of a jerk is an acceleration's over dt.
+    """
     largest: dict[str, Any] = {"max_violation": 0.0, "joint": None, "unit": None}
     for channel in channels:
         excess = float(channel.excess.max(initial=0.0))
-        if excess > max(ROUNDING, largest["max_violation"]):
+        if excess > max(rounding, largest["max_violation"]):
             largest = {"max_violation": excess, "joint": channel.name, "unit": channel.unit}
     return largest
+
+
+def _passed(least: tuple[float, str, str] | None) -> dict[str, Any]:
+    """Return how far a limit is passed where the room is least, and what it is of."""
+    if least is None or least[0] >= -(MEASURED if least[1] == "m" else ROUNDING):
+        return {"max_violation": 0.0, "joint": None, "unit": None}
+    room, unit, name = least
+    return {"max_violation": -room, "joint": name, "unit": unit}
 
 
 def _step_time(step_time: Array) -> dict[str, float | None]:

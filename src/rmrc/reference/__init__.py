@@ -18,10 +18,11 @@ from rmrc.reference.damped import dls, step_bound, weighted_dls
 from rmrc.reference.gradient import Descent, clamp, descent
 from rmrc.reference.inverses import inverse, pinv, task_metric, transpose, weighted
 from rmrc.reference.nullspace import nullspace_projector, prioritized
-from rmrc.reference.saturation import bounded_dls, saturated
+from rmrc.reference.saturation import Saturation, bounded_dls, saturate, saturated
 
 __all__ = [
     "Descent",
+    "Saturation",
     "bounded_dls",
     "clamp",
     "damping_error",
@@ -35,6 +36,7 @@ __all__ = [
     "pinv",
     "planar_2r",
     "prioritized",
+    "saturate",
     "saturated",
     "selectively_damped",
     "step_bound",

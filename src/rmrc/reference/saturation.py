@@ -1,5 +1,7 @@
 """Joint velocities inside a box: saturation in the null space, and damped least squares."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,6 +12,21 @@ from rmrc.reference.arguments import Array
 ROUNDING = 1e-12
 # A joint whose column of the remaining null space is shorter than this is held by the task.
 HELD = 1e-9
+
+
+class Saturation(NamedTuple):
+    """What `saturate` finds: v, and what the limits did to it."""
+
+    v: Array
+    """Joint velocity (n,), rad/s."""
+    scale: float
+    """s, the share of the task's velocity that the limits admit."""
+    multiplier: Array
+    """z (n,), ≥ 0 at an upper limit and ≤ 0 at a lower one, 0 where the limits are not in the way.
+
+    It is that of ½‖v‖² at this s, v + Jᵀλ + z = 0, in rad/s. To the limits that decide s, ∂s/∂limit
+    in s/rad is added.
+    """
 
 
 def saturated(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
@@ -42,27 +59,36 @@ def saturated(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike)
     optimal variant). The active set: Goldfarb and Idnani, A numerically stable dual method for
     solving strictly convex quadratic programs, Mathematical Programming 27, 1983.
     """
+    return saturate(J, xdot, lower, upper).v
+
+
+def saturate(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Saturation:
+    """Return the velocity of `saturated`, the scale s, and the multipliers of the limits.
+
+    The arguments and what is raised are those of `saturated`.
+    """
     J, xdot = arguments.task(J, xdot)
     lower, upper = arguments.bounds(lower, upper, J.shape[1])
     U, sigma, V = linear.singular_values(J, None)
     free = V @ ((U.T @ xdot) / sigma)
     if (lower <= free).all() and (free <= upper).all():
-        return free
+        return Saturation(free, 1.0, np.zeros(free.size))
     working = _WorkingSet(np.linalg.qr(V, mode="complete").Q[:, V.shape[1] :])
-    scale = 1.0
+    scale, stop = 1.0, np.zeros(free.size)  # ∂s/∂limit
     while True:
         v, normal = _nearest(working, scale * free, lower, upper)
         if normal is None:
-            return v
+            return Saturation(v, scale, stop + working.multiplier())
         # No motion of the null space changes normalᵀv = s · normalᵀJ⁺ẋ; the box ends at `edge`.
         held = normal != 0.0
         edge = normal[held] @ np.where(normal > 0.0, upper, lower)[held]
         speed = normal @ free
         if edge < 0.0:
             raise ValueError("lower, upper: no v inside them has J v = s xdot with 0 ≤ s ≤ 1")
+        stop = normal / speed
         if edge >= (1.0 - ROUNDING) * scale * speed:
-            return v
-        scale = edge / speed
+            return Saturation(v, scale, stop + working.multiplier())
+        scale = float(edge / speed)
 
 
 def bounded_dls(
@@ -158,6 +184,12 @@ class _WorkingSet:
         pull = (self.limits - free[self.joints]) @ self._R_inverse
         self._sizes = (self._sides * (self._R_inverse @ pull)).tolist()
         return self._Z @ (self._Q[:, : pull.size] @ pull)
+
+    def multiplier(self) -> Array:
+        """Return −μ (n,), which is the multiplier z of v + Jᵀλ + z = 0."""
+        z = np.zeros(len(self._Z))
+        z[self.joints] = -np.multiply(self._sides, self._sizes)
+        return z
 
     def review(self, free: Array) -> None:
         """Release the joints that would have to be pulled to their limits, not pushed."""

@@ -73,6 +73,10 @@ class Barrier(ABC):
     def reach(self, ids: NDArray[np.intp], step: Array, dt: float) -> Array:
         """Return the most by which h of some entries (k,) can fall in a step |Δq| (nv,) of dt."""
 
+    def thickness(self, ids: NDArray[np.intp]) -> Array:
+        """Return how far some entries (k,) may move between two looks, not to pass unnoticed."""
+        return np.full(ids.size, np.inf)
+
     @abstractmethod
     def name(self, identity: int) -> str:
         """Return what a message calls an entry."""

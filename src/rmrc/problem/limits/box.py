@@ -1,9 +1,11 @@
-"""Position, velocity and acceleration limits of the joints: one box in velocity, never empty."""
+"""The limits of the joints, from position to jerk: one box in velocity, never empty."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rmrc.problem.limits.jerk import JerkLimit
 
 Array = NDArray[np.float64]
 
@@ -27,83 +29,101 @@ class Box:
     """v_max, rad/s or m/s."""
     acceleration: Array
     """a_max, rad/s² or m/s²."""
+    jerk: Array
+    """j_max, rad/s³ or m/s³."""
 
 
 class BoxLimit:
     """Computes the box lb ≤ v ≤ ub of a step.
 
     Position asks for g(q_min − q)/dt ≤ v ≤ g(q_max − q)/dt and, with an acceleration limit a, that
-    the joint can still stop: v ≤ −a dt + √(a²dt² + 2a(q_max − q)), mirrored below. Each limit of a
-    higher order (stopping, velocity, acceleration) clips both ends into its own interval. Clipping
-    keeps their order, so that lb ≤ ub whatever the limits say to each other.
+    the joint can still stop: v ≤ −a dt + √(a²dt² + 2a(q_max − q)), mirrored below. The jerk limit
+    gives the first interval (see `JerkLimit`), and position, velocity and acceleration, in this
+    order, each clip both its ends into their own. Clipping keeps the order of the ends, so that
+    lb ≤ ub whatever the limits say to each other, and the last of them wins.
+
+    A joint with v²/2a ≤ q_max − q stays in its range, whatever the lengths of the steps: a v with
+    v dt + v²/2a ≤ q_max − q leaves that true after the step, and v_prev − a dt, or rest where it
+    is less than a step away, always is such a v.
     """
 
     def __init__(self, box: Box):
         n = box.lower.size
-        # Both ends stand in one vector [lb; ub], so that each limit is one call over 2n numbers.
-        self._coordinate = np.tile(box.coordinate, 2)
-        self._range = np.concatenate([box.lower, box.upper])
+        self._coordinate = np.stack([box.coordinate] * 2)
+        self._range = np.stack([box.lower, box.upper])
         self._ranged = bool(np.isfinite(self._range).any())
         self._gain = box.gain
-        self._rate = np.empty(2 * n)
-        self._rate_dt = 0.0
-        self._fastest = np.tile(box.velocity, 2)
+        self._rate, self._rate_dt = np.empty((2, n)), 0.0
+        # Both ends stand in one array, so that each limit is one call over 2n numbers.
+        self._fastest = np.stack([box.velocity] * 2)
         self._slowest = -self._fastest
-        self._stops = box.acceleration if np.isfinite(box.acceleration).any() else None
-        self._bounds = np.empty(2 * n)
-        self._product = np.empty(n)
-        self.lower, self.upper = self._bounds[:n], self._bounds[n:]
+        self._ends = np.empty((2, n))
+        self.lower, self.upper = self._ends
         """lb and ub (n,) of the last update, rad/s or m/s."""
+        self._room, self._product = np.empty((2, n)), np.empty(n)
+        self._below, self._above = self._room
+        self._outward = np.array([[-1.0], [1.0]])
+        limited = np.isfinite(box.acceleration)
+        self._acceleration = box.acceleration if limited.any() else None
+        self._stopping = np.nonzero(limited & np.isfinite(self._range))
+        self._deceleration = box.acceleration[self._stopping[1]]
+        self._stop = np.full((2, n), np.inf)
+        self._jerked = np.flatnonzero(np.isfinite(box.jerk))
+        self._jerk = None
+        if self._jerked.size:
+            jerk, acceleration, velocity = (
+                values[self._jerked] for values in (box.jerk, box.acceleration, box.velocity)
+            )
+            self._jerk = JerkLimit(jerk, acceleration, velocity, box.gain)
 
-    def update(self, q: Array, v_previous: Array, dt: float) -> bool:
-        """Compute the bounds at q (nq,) after v_previous (n,).
+    def update(self, q: Array, v_previous: Array, a_previous: Array, dt: float) -> bool:
+        """Compute the bounds at q (nq,) after a step with the velocity and acceleration (n,).
 
         Return whether a joint is outside its range.
         """
-        bounds, outside = self._bounds, False
+        ends, room = self._ends, self._room
+        outside = False
+        np.subtract(self._range, q[self._coordinate], out=room)
         if self._ranged:
-            if dt != self._rate_dt:
-                self._rate.fill(self._gain / dt)
-                self._rate_dt = dt
-            np.subtract(self._range, q[self._coordinate], out=bounds)
             # The ends have the same sign where q is not between them.
-            np.multiply(self.lower, self.upper, out=self._product)
+            np.multiply(self._below, self._above, out=self._product)
             if np.maximum.reduce(self._product) > 0.0:
                 outside = self._is_outside()
-            stop = None if self._stops is None else self._stopping(self._stops, dt)
-            np.multiply(bounds, self._rate, out=bounds)
-            if stop is not None:
-                np.maximum(bounds, stop[0], out=bounds)
-                np.minimum(bounds, stop[1], out=bounds)
-        else:
-            self.lower.fill(-np.inf)
-            self.upper.fill(np.inf)
-        np.maximum(bounds, self._slowest, out=bounds)
-        np.minimum(bounds, self._fastest, out=bounds)
-        if self._stops is not None:
-            change = self._stops * dt
-            np.maximum(bounds, np.tile(v_previous - change, 2), out=bounds)
-            np.minimum(bounds, np.tile(v_previous + change, 2), out=bounds)
+        if dt != self._rate_dt:
+            self._rate.fill(self._gain / dt)
+            self._rate_dt = dt
+        np.multiply(room, self._rate, out=ends)
+        if self._deceleration.size:
+            self._make_stoppable(dt)
+        if self._jerk is not None:
+            some = self._jerked
+            outward = (self._outward * room)[:, some]
+            eased = self._jerk.bounds(outward, v_previous[some], a_previous[some], dt)
+            ends[:, some] = np.clip(eased, self.lower[some], self.upper[some])
+        np.maximum(ends, self._slowest, out=ends)
+        np.minimum(ends, self._fastest, out=ends)
+        if self._acceleration is not None:
+            change = self._acceleration * dt
+            np.maximum(ends, v_previous - change, out=ends)
+            np.minimum(ends, v_previous + change, out=ends)
         return outside
 
     def _is_outside(self) -> bool:
         rounding = RANGE_ROUNDING
-        return bool((self.lower > rounding).any() or (self.upper < -rounding).any())
+        return bool((self._below > rounding).any() or (self._above < -rounding).any())
 
-    def _stopping(self, acceleration: Array, dt: float) -> tuple[Array, Array]:
-        """Return the velocities (2n,) from which each joint can still stop in the room it has.
+    def _make_stoppable(self, dt: float) -> None:
+        """Clip the ends into the velocities from which each joint can stop in the room it has.
 
         √(a²dt² + 2a r) − a dt for the room r, written so that it is exact for a small one. A joint
         outside its range on that side has no room to stop in: the position limit alone says how
         fast it comes back.
         """
-        limited = np.where(np.isfinite(acceleration), acceleration, 0.0)
-        step = limited * dt
-        speeds = []
-        for room in (-self.lower, self.upper):
-            reach = 2.0 * limited * np.where(np.isfinite(room), np.maximum(room, 0.0), 0.0)
-            root = np.sqrt(step**2 + reach) + step
-            speed = np.divide(reach, root, out=np.zeros_like(root), where=root > 0.0)
-            bound = np.isfinite(acceleration) & np.isfinite(room) & (room >= 0.0)
-            speeds.append(np.where(bound, speed, np.inf))
-        return np.tile(-speeds[0], 2), np.tile(speeds[1], 2)
+        ends, a = self._ends, self._deceleration
+        room = (self._outward * self._room)[self._stopping]
+        change = a * dt
+        reach = 2.0 * a * np.maximum(room, 0.0)
+        speed = reach / (np.sqrt(change * change + reach) + change)
+        self._stop[self._stopping] = np.where(room >= 0.0, speed, np.inf)
+        np.maximum(ends, -self._stop[0], out=ends)
+        np.minimum(ends, self._stop[1], out=ends)

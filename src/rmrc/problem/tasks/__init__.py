@@ -8,10 +8,12 @@ from rmrc.problem.tasks.axis_align import AxisAlignTask
 from rmrc.problem.tasks.centering import CenteringTask
 from rmrc.problem.tasks.clearance import ClearanceTask
 from rmrc.problem.tasks.com import ComTask
+from rmrc.problem.tasks.coupling import CouplingTask
 from rmrc.problem.tasks.frame import FrameTask
 from rmrc.problem.tasks.freeze import FreezeTask
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTask
 from rmrc.problem.tasks.look_at import LookAtTask
+from rmrc.problem.tasks.loop import LoopTask
 from rmrc.problem.tasks.manipulability import ManipulabilityTask
 from rmrc.problem.tasks.posture import PostureTask
 from rmrc.problem.tasks.relative_frame import RelativeFrameTask
@@ -23,10 +25,12 @@ __all__ = [
     "CenteringTask",
     "ClearanceTask",
     "ComTask",
+    "CouplingTask",
     "FrameTask",
     "FreezeTask",
     "KineticEnergyTask",
     "LookAtTask",
+    "LoopTask",
     "ManipulabilityTask",
     "PostureTask",
     "RelativeFrameTask",
@@ -46,6 +50,8 @@ Task = Annotated[
     | LookAtTask
     | AxisAlignTask
     | FreezeTask
+    | LoopTask
+    | CouplingTask
     | CenteringTask
     | ManipulabilityTask
     | ClearanceTask,

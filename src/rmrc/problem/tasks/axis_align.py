@@ -9,11 +9,18 @@ import numpy as np
 
 from rmrc.config.base import Direction, Frame, NonNegative
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.tasks.base import Array, GainedTask, TargetKind, gain_value, weight_array
-from rmrc.problem.tasks.mink_tasks import MinkTerm, look_at_units
+from rmrc.problem.tasks.base import (
+    Array,
+    GainedTask,
+    HardTask,
+    TargetKind,
+    gain_value,
+    weight_array,
+)
+from rmrc.problem.tasks.mink_tasks import MinkTerm, look_at_units, tangential
 
 
-class AxisAlignTask(GainedTask):
+class AxisAlignTask(HardTask, GainedTask):
     """Point an axis of a frame along a direction of the world; the roll about it stays free."""
 
     target_kind: ClassVar[TargetKind] = "direction"
@@ -38,6 +45,7 @@ class AxisAlignTask(GainedTask):
             name=self.name,
             type=self.type,
             level=self.level,
+            hard=self.hard,
             gain=gain_value(self.gain),
             weight=weight_array(self.B, 3),
             target=target / np.linalg.norm(target),
@@ -64,6 +72,10 @@ class AxisAlignTerm(MinkTerm):
     def measure(self, error: Array) -> Array:
         """Return the angle in rad between the axis and the target."""
         return look_at_units(error)
+
+    def attainable(self, error: Array, rate: Array) -> Array:
+        """Return the part of ẋ that turns the axis."""
+        return tangential(self.axis, error, rate)
 
     def task(self) -> mink.AxisAlignTask:
         """Return mink's task with unit cost and gain."""

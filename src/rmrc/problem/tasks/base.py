@@ -1,13 +1,14 @@
 """What every task is made of: its model in the configuration and its term in the problem."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from rmrc.config.base import Model, Name, Positive, Weight
 
@@ -38,6 +39,7 @@ class TaskModel(Model):
     level: Annotated[int, Field(strict=True, ge=0, le=20)] = 0
     """Priority level; 0 is the highest."""
 
+    @abstractmethod
     def compile(self, model: mujoco.MjModel, start: Array) -> "Term":
         """Resolve every name and return the task's term.
 
@@ -48,7 +50,6 @@ class TaskModel(Model):
         Raises:
             FieldError: If a value does not fit the model.
         """
-        raise NotImplementedError
 
 
 class WeightedTask(TaskModel):
@@ -64,9 +65,40 @@ class GainedTask(TaskModel):
     gain: Gain = 10.0
     """Gain K in 1/s of the error's decay, never above 1/dt; `deadbeat` is 1/dt."""
 
+    def common(self) -> dict[str, Any]:
+        """Return what the task's term takes over: name, type, level and gain."""
+        fields = self.model_dump(include={"name", "type", "level"})
+        return {**fields, "gain": gain_value(self.gain)}
+
+
+class HardTask(TaskModel):
+    """A task that may be a constraint in place of a cost."""
+
+    hard: Annotated[bool, Field(strict=True)] = False
+    """Whether J v = ẋ is an equality, which comes before all levels; B then only tells which
+    directions are meant: those with a weight."""
+
+    @field_validator("hard")
+    @classmethod
+    def _no_level(cls, hard: bool, others: ValidationInfo) -> bool:
+        if hard and others.data.get("level"):
+            raise ValueError(
+                "a hard task comes before all levels: leave `level` out, or set `hard: false`"
+            )
+        return hard
+
+
+class ConstraintTask(HardTask, GainedTask):
+    """A property of the mechanism, which is hard if nothing else is said."""
+
+    hard: Annotated[bool, Field(strict=True, validate_default=True)] = True
+    """Whether it is an equality, which comes before all levels, or a cost with the weight B."""
+    gain: Gain = 100.0
+    """Gain K in 1/s with which what is open closes, never above 1/dt; `deadbeat` is 1/dt."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Term:
+class Term(ABC):
     """One task as the engine sees it: names resolved, weights as arrays.
 
     A term gives rows J (rows, nv) and an error e (rows,) with de/dt = −J v, so that J v = K e
@@ -84,6 +116,8 @@ class Term:
     """The target at the start, of size 0 where there is none."""
     preserve: bool = False
     """Whether the task moves along its ẋ, as fast as the limits allow, in place of its cost."""
+    hard: bool = False
+    """Whether J v = ẋ is an equality in the directions that have a weight, in place of a cost."""
 
     target_kind: ClassVar[TargetKind] = "none"
     joint: ClassVar[bool] = False
@@ -111,10 +145,23 @@ class Term:
         """Return the true errors, in `units`, that the error vector e (rows,) stands for."""
         return np.array([np.sqrt(error @ error)])[: len(self.units)]
 
+    def attainable(self, error: Array, rate: Array) -> Array:
+        """Return ẋ (rows,) at e (rows,) without what J v is at right angles to by definition."""
+        return rate
+
     @classmethod
+    @abstractmethod
     def evaluator(cls, terms: "Sequence[Term]", evaluation: "Evaluation") -> "Evaluator":
         """Return what evaluates all the terms of this class in a problem."""
-        raise NotImplementedError
+
+
+class RowlessTerm(Term):
+    """A term without an error: it acts on the limits or on the metric."""
+
+    @classmethod
+    def evaluator(cls, terms: "Sequence[Term]", evaluation: "Evaluation") -> "Evaluator":
+        """Return what does nothing: there is nothing to evaluate."""
+        return lambda: None
 
 
 class Evaluator(Protocol):

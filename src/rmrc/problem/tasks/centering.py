@@ -10,7 +10,7 @@ from pydantic import Field
 from rmrc.config.base import JointName, NonNegative
 from rmrc.problem.configuration import QPOS_WIDTH, joint_type
 from rmrc.problem.frames import find
-from rmrc.problem.tasks.base import Array, FieldError, GainedTask, TargetKind, gain_value
+from rmrc.problem.tasks.base import Array, FieldError, GainedTask, TargetKind
 from rmrc.problem.tasks.posture import PostureTerm
 
 
@@ -44,10 +44,7 @@ class CenteringTask(GainedTask):
             middle[model.jnt_qposadr[joint]] = 0.5 * (low + high)
             weight[model.jnt_dofadr[joint]] = self.B / (0.5 * (high - low)) ** 2
         return CenteringTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight,
             target=middle,
         )

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import mujoco
 import numpy as np
@@ -12,16 +12,18 @@ from pydantic import Field
 
 from rmrc.config.base import NameOf, NonNegative, Positive
 from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.configuration import free_dofs
 from rmrc.problem.frames import OBJECTS, names
-from rmrc.problem.tasks.base import Array, FieldError, Gain, GainedTask, Term, gain_value
+from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
+from rmrc.problem.tasks.base import Array, FieldError, GainedTask, Term
 from rmrc.problem.tasks.manipulability import joint_dofs_above
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
-# Two geoms this near to touching, in m, have no direction between their nearest points; such a
-# pair is left out of the step.
 TOUCHING = 1e-9
+"""Two geoms this near to touching, in m, have no direction between their nearest points; such a
+pair is left out of the step."""
 
 GeomOrBody = Annotated[str, NameOf("geom or body")]
 
@@ -29,57 +31,49 @@ GeomOrBody = Annotated[str, NameOf("geom or body")]
 class ClearanceTask(GainedTask):
     """Keep pairs of geoms at a distance.
 
-    It descends U = ½ Σ (max(0, D − d)/ℓ)² for the signed distance d of each pair of geoms and its
-    lever ℓ in m/rad, a bound of ‖∂d/∂q‖ by the lengths of the links: ẋ = −K ∇U, with which one
-    pair inside D moves apart at K (D − d) ‖∂d/∂q‖²/ℓ², no faster than exp(−K t) would have it.
-    Where no pair is inside D the task asks the joints that move its pairs for rest. A floating
-    base is left alone.
+    Each pair of geoms with the signed distance d has a row
 
-    Source: Khatib 1986, Real-time obstacle avoidance for manipulators and mobile robots.
+        e = (D − d)²/2D,  J = (1 − d/D) ∂d/∂q  where d < D, and both 0 elsewhere,
+
+    so that J v = K e takes d back to D, (D − d)² falling as exp(−K t). As d passes D the row fades
+    away; a pair that is farther apart leaves all motion to other tasks. A floating base is left
+    alone.
+
+    Source: Maciejewski and Klein 1985, Obstacle avoidance for kinematically redundant manipulators
+    in dynamically varying environments.
     """
 
     type: Literal["clearance"] = "clearance"
     B: NonNegative = 1.0
-    """Weight of the squared difference from the wanted joint rates, a number."""
+    """Weight of each pair, a number."""
     pairs: Annotated[tuple[tuple[GeomOrBody, GeomOrBody], ...], Field(min_length=1)]
     """Pairs of geoms or bodies; a body, which goes before a geom of its name, means its geoms."""
     distance: Positive = 0.1
     """Distance D in m inside which a pair is pushed apart."""
-    gain: Gain = 50.0
-    """Gain K in 1/s, never above 1/dt: a bound of the rate, which is often a tenth of it."""
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "ClearanceTerm":
-        """Resolve the pairs and the joints that move them.
+        """Resolve the pairs.
 
         Raises:
             FieldError: If a body has no geoms, or no joint moves a pair relative to each other.
         """
-        levers: dict[tuple[int, int], float] = {}
-        moving: set[int] = set()
+        found: list[tuple[int, int]] = []
         for pair in self.pairs:
             (a, first), (b, second) = (_geoms(model, name) for name in pair)
-            dofs = np.setxor1d(joint_dofs_above(model, a), joint_dofs_above(model, b))
-            if not dofs.size:
+            if not np.setxor1d(joint_dofs_above(model, a), joint_dofs_above(model, b)).size:
                 raise FieldError(
                     "pairs", f"no joint moves '{pair[0]}' and '{pair[1]}' relative to each other"
                 )
-            moving.update(dofs.tolist())
             for i, j in product(first, second):
-                square = _lever_square(model, i, dofs) + _lever_square(model, j, dofs)
-                levers[min(i, j), max(i, j)] = square
-        weight, dofs = np.zeros(model.nv), np.array(sorted(moving), dtype=np.intp)
-        weight[dofs] = self.B
+                low, high = sorted((i, j), key=lambda geom: (model.geom_type[geom], geom))
+                found.append((low, high))
+        geoms = np.array(list(dict.fromkeys(found)), dtype=np.intp)
         return ClearanceTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=gain_value(self.gain),
-            weight=weight,
+            **self.common(),
+            weight=np.full(len(geoms), self.B),
             target=start[:0],
-            geoms=np.array(list(levers), dtype=np.intp),
-            lever_square=np.array(list(levers.values())),
+            geoms=geoms,
             distance=self.distance,
-            dofs=dofs,
         )
 
 
@@ -98,39 +92,14 @@ def _geoms(model: mujoco.MjModel, name: str) -> tuple[int, list[int]]:
     return body, list(range(first, first + count))
 
 
-def _lever_square(model: mujoco.MjModel, geom: int, dofs: NDArray[np.intp]) -> float:
-    """Return Σ lever² in (m/rad)² over the dofs that move a geom.
-
-    The lever of a rotation is the length of the chain from its joint to the farthest point of the
-    geom; that of a slide is 1. The travel of slides in between is left out.
-    """
-    square, body = 0.0, int(model.geom_bodyid[geom])
-    reach = float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom])
-    while body:
-        first = int(model.body_dofadr[body])
-        for dof in np.intersect1d(dofs, range(first, first + int(model.body_dofnum[body]))):
-            joint = model.dof_jntid[dof]
-            slide = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-            square += 1.0 if slide else (reach + float(np.linalg.norm(model.jnt_pos[joint]))) ** 2
-        reach += float(np.linalg.norm(model.body_pos[body]))
-        body = int(model.body_parentid[body])
-    return square
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ClearanceTerm(Term):
-    """A `clearance` task: e = −∇U = Σ (max(0, D − d)/ℓ²) ∂d/∂q, J = I."""
-
-    joint: ClassVar[bool] = True
+    """Rows of a `clearance` task: e = (D − d)²/2D, J = (1 − d/D) ∂d/∂q of each pair inside D."""
 
     geoms: NDArray[np.intp]
-    """The pairs of geoms (p, 2)."""
-    lever_square: Array
-    """ℓ² of each pair (p,), (m/rad)²."""
+    """The pairs of geoms (p, 2), each in the order of their types."""
     distance: float
     """D, m."""
-    dofs: NDArray[np.intp]
-    """The dofs that move a pair relative to each other, without a floating base's."""
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
@@ -147,16 +116,18 @@ class ClearanceTerm(Term):
 class _Field:
     """Evaluates one `clearance` term: pairs whose bounding spheres are apart cost next to nothing.
 
-    For the nearest points a and b of a pair, with the normal n from the first geom to the second,
-    ∂d/∂q = nᵀ (J_b − J_a). MuJoCo gives a and b with b − a = d n, also where the geoms overlap and
-    d is negative.
+    For the nearest points a and b of a pair, with b − a = d n, ∂d/∂q = nᵀ (J_b − J_a), also where
+    the geoms overlap and d is negative.
     """
 
     def __init__(self, term: ClearanceTerm, evaluation: "Evaluation"):
         model = self._model = evaluation.model
         self._data, self._term = evaluation.data, term
-        self._error = evaluation.error[evaluation.rows_of([term])]
-        self._bodies = model.geom_bodyid[term.geoms]
+        rows = evaluation.rows_of([term])
+        self._error, self._jacobian = evaluation.error[rows], evaluation.jacobian[rows]
+        self._pairs = [(a, b, is_capsule_and_box(model, a, b)) for a, b in term.geoms.tolist()]
+        self._bodies = model.geom_bodyid[term.geoms].tolist()
+        self._base = free_dofs(model)
         radii = model.geom_rbound[term.geoms]
         near = radii.sum(axis=1) + term.distance
         self._near_square = np.where(radii.all(axis=1), near, np.inf) ** 2  # a plane's radius is 0
@@ -164,21 +135,22 @@ class _Field:
         self._first, self._second = np.zeros((2, 3, model.nv))
 
     def __call__(self) -> None:
-        self._error[self._term.dofs] = 0.0
+        self._error[:], self._jacobian[:] = 0.0, 0.0
         centres = self._data.geom_xpos[self._term.geoms]
         apart = centres[:, 1] - centres[:, 0]
-        for k in np.flatnonzero(np.einsum("ki,ki->k", apart, apart) < self._near_square):
-            self._add(k)
+        for k in np.flatnonzero(np.einsum("ki,ki->k", apart, apart) < self._near_square).tolist():
+            self._set(k)
 
-    def _add(self, k: np.intp) -> None:
-        """Add the part of pair k."""
-        model, data, term, segment = self._model, self._data, self._term, self._segment
-        d = mujoco.mj_geomDistance(model, data, *term.geoms[k], term.distance, segment)
-        if d >= term.distance or abs(d) < TOUCHING:
+    def _set(self, k: int) -> None:
+        """Set the row of pair k, if it is inside D."""
+        model, data, segment = self._model, self._data, self._segment
+        d = signed_distance(model, data, self._pairs[k], self._term.distance, segment)
+        if d >= self._term.distance or abs(d) < TOUCHING:
             return
         a, b = segment[:3], segment[3:]
-        mujoco.mj_jac(model, data, self._first, None, a, self._bodies[k, 0])
-        mujoco.mj_jac(model, data, self._second, None, b, self._bodies[k, 1])
-        slope = (b - a) @ (self._second - self._first) / d  # ∂d/∂q
-        strength = (term.distance - d) / term.lever_square[k]
-        self._error[term.dofs] += strength * slope[term.dofs]
+        mujoco.mj_jac(model, data, self._first, None, a, self._bodies[k][0])
+        mujoco.mj_jac(model, data, self._second, None, b, self._bodies[k][1])
+        share = 1.0 - d / self._term.distance
+        self._error[k] = 0.5 * share * (self._term.distance - d)
+        self._jacobian[k] = (share / d) * ((b - a) @ (self._second - self._first))
+        self._jacobian[k, self._base] = 0.0

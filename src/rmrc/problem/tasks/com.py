@@ -13,6 +13,7 @@ from rmrc.problem.tasks.base import (
     Array,
     FieldError,
     GainedTask,
+    HardTask,
     TargetKind,
     Term,
     WeightedTask,
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-class ComTask(GainedTask, WeightedTask):
+class ComTask(HardTask, GainedTask, WeightedTask):
     """Bring the centre of mass of the robot to a target point in the world."""
 
     target_kind: ClassVar[TargetKind] = "point"
@@ -51,6 +52,7 @@ class ComTask(GainedTask, WeightedTask):
             name=self.name,
             type=self.type,
             level=self.level,
+            hard=self.hard,
             gain=gain_value(self.gain),
             weight=weight,
             target=share @ data.subtree_com[list(roots)],

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import mujoco
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import AfterValidator, ValidationInfo, field_validator
 
 from rmrc.config.base import Frame, Model, Positive, Weight
 from rmrc.problem.frames import FrameHandle, resolve
@@ -16,6 +16,7 @@ from rmrc.problem.lie import inverse_multiply, jlog, pose_of, rminus
 from rmrc.problem.tasks.base import (
     Array,
     GainedTask,
+    HardTask,
     Preserve,
     TargetKind,
     Term,
@@ -54,7 +55,7 @@ class PoseClamp(Model):
     """rad."""
 
 
-class PoseTask(GainedTask):
+class PoseTask(HardTask, GainedTask):
     """What the tasks on poses share."""
 
     target_kind: ClassVar[TargetKind] = "pose"
@@ -65,6 +66,13 @@ class PoseTask(GainedTask):
     """Largest error that the task acts on."""
     preserve: Preserve | None = None
     """`direction`: move along ẋ as fast as the limits allow, not as near to it as may be."""
+
+    @field_validator("preserve")
+    @classmethod
+    def _no_constraint(cls, preserve: Preserve | None, others: ValidationInfo) -> Preserve | None:
+        if preserve and others.data.get("hard"):
+            raise ValueError("a hard task has no cost to replace: it moves as ẋ says")
+        return preserve
 
     def pose_weight(self) -> Array:
         """Return B as (6,) or (6, 6).
@@ -95,6 +103,7 @@ class FrameTask(PoseTask):
             name=self.name,
             type=self.type,
             level=self.level,
+            hard=self.hard,
             gain=gain_value(self.gain),
             weight=weight,
             target=handle.pose_at(model, start),

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from rmrc.config.base import JointName
 from rmrc.problem.configuration import dof_of_joint
-from rmrc.problem.tasks.base import Array, TaskModel, Term
+from rmrc.problem.tasks.base import Array, RowlessTerm, TaskModel
 
 
 class FreezeTask(TaskModel):
@@ -35,7 +35,7 @@ class FreezeTask(TaskModel):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FreezeTerm(Term):
+class FreezeTerm(RowlessTerm):
     """A `freeze` task: a velocity limit of zero on its dofs, an equality inside the one box."""
 
     dofs: NDArray[np.intp]

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from rmrc.config.base import NonNegative
-from rmrc.problem.tasks.base import Array, TaskModel, Term
+from rmrc.problem.tasks.base import Array, RowlessTerm, TaskModel
 
 
 class KineticEnergyTask(TaskModel):
@@ -31,7 +31,7 @@ class KineticEnergyTask(TaskModel):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class KineticEnergyTerm(Term):
+class KineticEnergyTerm(RowlessTerm):
     """A `kinetic_energy` task: it has no rows, and adds B·M(q) to the metric A."""
 
     inertia: float

@@ -9,11 +9,18 @@ import numpy as np
 
 from rmrc.config.base import Direction, Frame, NonNegative, Vector3
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.tasks.base import Array, GainedTask, TargetKind, gain_value, weight_array
-from rmrc.problem.tasks.mink_tasks import MinkTerm, look_at_units
+from rmrc.problem.tasks.base import (
+    Array,
+    GainedTask,
+    HardTask,
+    TargetKind,
+    gain_value,
+    weight_array,
+)
+from rmrc.problem.tasks.mink_tasks import MinkTerm, look_at_units, tangential
 
 
-class LookAtTask(GainedTask):
+class LookAtTask(HardTask, GainedTask):
     """Point an axis of a frame at a point in the world; the roll about the axis stays free."""
 
     target_kind: ClassVar[TargetKind] = "point"
@@ -37,6 +44,7 @@ class LookAtTask(GainedTask):
             name=self.name,
             type=self.type,
             level=self.level,
+            hard=self.hard,
             gain=gain_value(self.gain),
             weight=weight_array(self.B, 3),
             target=ahead if self.target is None else np.array(self.target),
@@ -63,6 +71,10 @@ class LookAtTerm(MinkTerm):
     def measure(self, error: Array) -> Array:
         """Return the angle in rad between the axis and the target's direction."""
         return look_at_units(error)
+
+    def attainable(self, error: Array, rate: Array) -> Array:
+        """Return the part of ẋ that turns the axis."""
+        return tangential(self.axis, error, rate)
 
     def task(self) -> mink.LookAtTask:
         """Return mink's task with unit cost and gain."""

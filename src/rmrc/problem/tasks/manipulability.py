@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rmrc.config.base import Frame, NonNegative
 from rmrc.problem.configuration import QPOS_WIDTH, free_dofs, joint_type
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.tasks.base import Array, FieldError, GainedTask, Term, gain_value
+from rmrc.problem.tasks.base import Array, FieldError, GainedTask, Term
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
@@ -69,10 +69,7 @@ class ManipulabilityTask(GainedTask):
         weight = np.zeros(model.nv)
         weight[dofs] = self.B
         return ManipulabilityTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight,
             target=start[:0],
             frame=handle,

@@ -1,5 +1,6 @@
 """Terms that one of mink's own task objects evaluates."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,19 +18,19 @@ if TYPE_CHECKING:
 class MinkTerm(Term):
     """A term whose error and Jacobian come from a mink task of unit cost and gain."""
 
+    @abstractmethod
     def task(self) -> mink.Task:
         """Return a fresh mink task; each engine sets targets on one of its own."""
-        raise NotImplementedError
 
+    @abstractmethod
     def aim(self, task: mink.Task, target: Array) -> None:
         """Hand the target to the mink task."""
-        raise NotImplementedError
 
+    @abstractmethod
     def feed_forward(
         self, configuration: mink.Configuration, error: Array, target: Array, twist: Array
     ) -> Array:
         """Return ẋ_ff (rows,) for the target's velocity `twist`."""
-        raise NotImplementedError
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
@@ -67,6 +68,15 @@ class _MinkEvaluator:
             error[:] = residual[1]
             if term.name in self._moving:
                 feedforward[:] = term.feed_forward(configuration, error, target, twist)
+
+
+def tangential(axis: Array, error: Array, rate: Array) -> Array:
+    """Return the part of a rate (3,) that turns the unit vector d = e + a, at right angles to it.
+
+    The rest would lengthen d: the three rows of an axis have rank two.
+    """
+    direction = error + axis
+    return rate - direction * (direction @ rate)
 
 
 def look_at_units(error: Array) -> Array:

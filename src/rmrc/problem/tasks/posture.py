@@ -13,6 +13,7 @@ from rmrc.problem.tasks.base import (
     Array,
     FieldError,
     GainedTask,
+    HardTask,
     TargetKind,
     Term,
     WeightedTask,
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-class PostureTask(GainedTask, WeightedTask):
+class PostureTask(HardTask, GainedTask, WeightedTask):
     """Bring the joints to a target configuration; a floating base is left alone."""
 
     target_kind: ClassVar[TargetKind] = "configuration"
@@ -48,6 +49,7 @@ class PostureTask(GainedTask, WeightedTask):
             name=self.name,
             type=self.type,
             level=self.level,
+            hard=self.hard,
             gain=gain_value(self.gain),
             weight=weight,
             target=target,

@@ -31,6 +31,7 @@ class RelativeFrameTask(PoseTask):
             name=self.name,
             type=self.type,
             level=self.level,
+            hard=self.hard,
             gain=gain_value(self.gain),
             weight=weight,
             target=inverse_multiply(root.pose_at(model, start), frame.pose_at(model, start)),

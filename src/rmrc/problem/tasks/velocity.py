@@ -9,13 +9,21 @@ import numpy as np
 
 from rmrc.config.base import JointName, Number
 from rmrc.problem.configuration import dof_of_joint
-from rmrc.problem.tasks.base import Array, FieldError, TargetKind, Term, WeightedTask, weight_array
+from rmrc.problem.tasks.base import (
+    Array,
+    FieldError,
+    HardTask,
+    TargetKind,
+    Term,
+    WeightedTask,
+    weight_array,
+)
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
-class VelocityTask(WeightedTask):
+class VelocityTask(HardTask, WeightedTask):
     """Track joint rates; joints that are not named are left alone."""
 
     target_kind: ClassVar[TargetKind] = "rates"
@@ -41,6 +49,7 @@ class VelocityTask(WeightedTask):
             name=self.name,
             type=self.type,
             level=self.level,
+            hard=self.hard,
             gain=0.0,
             weight=weight,
             target=rates,

@@ -1,7 +1,9 @@
 """Any other solver, through qpsolvers: without a workspace, cold at every solve."""
 
 from importlib.metadata import metadata
-from typing import Any
+from math import inf
+from time import perf_counter
+from typing import Any, NamedTuple
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -11,25 +13,47 @@ from scipy.sparse import csc_matrix
 
 from rmrc.errors import SolverError, unknown_name
 from rmrc.qp.backends import BACKENDS, Backend
+from rmrc.qp.backends.pace import Pace
 from rmrc.qp.program import QP, Array, Solution, SolveStatus
 
+
+class Settings(NamedTuple):
+    """What a solver calls its settings; it has none for what is empty."""
+
+    iterations: str = ""
+    tolerances: tuple[str, ...] = ()
+    seconds: str = ""
+
+
 SETTINGS = {
-    "clarabel": ("max_iter", ("tol_gap_abs", "tol_gap_rel", "tol_feas")),
-    "cvxopt": ("maxiters", ("abstol", "reltol", "feastol")),
-    "ecos": ("max_iters", ("abstol", "reltol", "feastol")),
-    "piqp": ("max_iter", ("eps_abs",)),
-    "qpalm": ("max_iter", ("eps_abs",)),
-    "scs": ("max_iters", ("eps_abs",)),
+    "clarabel": Settings("max_iter", ("tol_gap_abs", "tol_gap_rel", "tol_feas"), "time_limit"),
+    "copt": Settings(seconds="TimeLimit"),
+    "cvxopt": Settings("maxiters", ("abstol", "reltol", "feastol")),
+    "daqp": Settings("iter_limit", ("primal_tol",), "time_limit"),
+    "ecos": Settings("max_iters", ("abstol", "reltol", "feastol")),
+    "gurobi": Settings(seconds="TimeLimit"),
+    "highs": Settings(seconds="time_limit"),
+    "osqp": Settings("max_iter", ("eps_abs",), "time_limit"),
+    "pdhcg": Settings(seconds="TimeLimit"),
+    "piqp": Settings("max_iter", ("eps_abs",)),
+    "qpalm": Settings("max_iter", ("eps_abs",), "time_limit"),
+    "qpoases": Settings(seconds="time_limit"),
+    "scs": Settings("max_iters", ("eps_abs",), "time_limit_secs"),
+    "sip": Settings(seconds="time_limit"),
 }
-"""What solvers call their limit on iterations and their tolerances; others take neither."""
+"""The settings of the solvers; one that is not here has none."""
+LEAST_TIME = 1e-9
+"""Time limit of a solve whose time is over before it is begun, s."""
 
 
 class QpsolversAdapter(Backend):
     """A solver that qpsolvers offers, called afresh for each program, and polished.
 
     qpsolvers does not tell the iterations nor why there is no solution: `iterations` is 0, and
-    what is not solved is FAILED. Raises SolverError for a name that qpsolvers does not know, a
-    solver that is not installed, or a setting that the solver does not have.
+    what is not solved is FAILED, or TIME_LIMIT if its time is over. A solver without a time limit
+    is not begun where its earlier solves took longer than the time left. Raises SolverError for a
+    name that qpsolvers does not know, a solver that is not installed, or a setting that the solver
+    does not have.
     """
 
     def __init__(
@@ -39,16 +63,17 @@ class QpsolversAdapter(Backend):
         _require(name)
         self._name = name
         self._sparse = name not in qpsolvers.dense_solvers
-        limit, tolerances = SETTINGS.get(name, (None, ()))
+        settings = SETTINGS.get(name, Settings())
         self._options: dict[str, Any] = {}
         if max_iter is not None:
-            if limit is None:
+            if not settings.iterations:
                 raise SolverError(f"the QP backend '{name}' takes no max_iter")
-            self._options[limit] = max_iter
+            self._options[settings.iterations] = max_iter
         if tolerance is not None:
-            if not tolerances:
+            if not settings.tolerances:
                 raise SolverError(f"the QP backend '{name}' takes no tolerance")
-            self._options.update(dict.fromkeys(tolerances, tolerance))
+            self._options.update(dict.fromkeys(settings.tolerances, tolerance))
+        self._time_limit, self._pace = settings.seconds, Pace()
 
     def _load(self, qp: QP) -> SolveStatus | None:
         return None
@@ -56,7 +81,19 @@ class QpsolversAdapter(Backend):
     def _refresh(self, qp: QP) -> SolveStatus | None:
         return None
 
-    def _run(self, qp: QP) -> Solution:
+    def _run(self, qp: QP, seconds: float) -> Solution:
+        begun = perf_counter()
+        if not self._time_limit and self._pace.within(seconds) < 1.0:
+            return Solution.at_rest(qp, SolveStatus.TIME_LIMIT)
+        solution = self._call(qp, begun + seconds)
+        now = perf_counter()
+        self._pace.measure(now - begun, 1)
+        if solution.status is SolveStatus.FAILED and now >= begun + seconds:
+            solution.status = SolveStatus.TIME_LIMIT
+        return solution
+
+    def _call(self, qp: QP, end: float) -> Solution:
+        """Return what qpsolvers makes of `qp`: SOLVED or FAILED."""
         high, low = np.isfinite(qp.hi), np.isfinite(qp.lo)
         rows = np.vstack([qp.C[high], -qp.C[low]])
         limits = np.concatenate([qp.hi[high], -qp.lo[low]])
@@ -68,8 +105,13 @@ class QpsolversAdapter(Backend):
         )
         with catch_warnings():
             simplefilter("ignore")  # the status says what they say
+            options = self._options
+            if self._time_limit and end < inf:
+                # 0 is no limit to some solvers, and less than nothing an error.
+                left = max(end - perf_counter(), LEAST_TIME)
+                options = {**options, self._time_limit: left}
             try:
-                found = qpsolvers.solve_problem(program, self._name, **self._options)
+                found = qpsolvers.solve_problem(program, self._name, **options)
             except Exception:  # every solver raises classes of its own
                 return Solution.at_rest(qp)
         solution = Solution.at_rest(qp)

@@ -1,0 +1,212 @@
+"""Why a step is what it is: what binds, what each task asked for and got, what would help."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
+from rmrc.problem.configuration import joint_type
+from rmrc.problem.limits.box import BoxLimit
+from rmrc.problem.limits.joints import joint_name
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
+from rmrc.qp.program import Solution
+
+if TYPE_CHECKING:
+    from rmrc.control.step import Step
+
+Array = NDArray[np.float64]
+
+SAME = 1e-9
+"""Two bounds that differ by less than this, rad/s or m/s, are the same."""
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A limit that is active."""
+
+    limit: str
+    """Its kind, as the configuration names it, or `loop` and the like for equalities."""
+    name: str
+    """The joint, the pair of geoms, the frame or the task."""
+    side: str
+    """lower or upper."""
+    bound: float
+    """Where it stands, rad/s or m/s."""
+    multiplier: float
+    """What the cost falls by for each rad/s or m/s that it is relaxed by."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.limit} limit of {self.name}: {self.side} bound {self.bound:.4g}, "
+            f"multiplier {self.multiplier:.3g}"
+        )
+
+
+@dataclass(frozen=True)
+class Progressed:
+    """What one task asked for and got, one entry for each of its units."""
+
+    name: str
+    units: tuple[str, ...]
+    """m or rad."""
+    error: tuple[float, ...]
+    """True distance or angle from the target before the step."""
+    asked: tuple[float, ...]
+    """Speed that was asked for, in units a second."""
+    got: tuple[float, ...]
+    """The part of the speed along what was asked for."""
+
+    def __str__(self) -> str:
+        parts = (
+            f"{error:.4g} {unit} off, asked for {asked:.4g} {unit}/s, got {got:.4g}"
+            for unit, error, asked, got in zip(
+                self.units, self.error, self.asked, self.got, strict=True
+            )
+        )
+        return f"{self.name}: {'; '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An account of one step."""
+
+    status: Status
+    flags: tuple[Status, ...]
+    """All statuses that hold, the most severe first."""
+    bindings: tuple[Binding, ...]
+    """The active limits, those that cost most first."""
+    tasks: tuple[Progressed, ...]
+    share: float
+    """What the check of distances at the next configuration left of the command, 1 for all."""
+
+    @property
+    def relief(self) -> Binding | None:
+        """The limit that would help most, if it were relaxed by a rad/s or m/s."""
+        return self.bindings[0] if self.bindings else None
+
+    def __str__(self) -> str:
+        lines = [f"{flag.name}: {flag.advice}" for flag in self.flags]
+        if self.bindings:
+            lines += ["what binds:", *(f"  {binding}" for binding in self.bindings)]
+        else:
+            lines.append("no limit binds")
+        if self.share < 1.0:
+            lines.append(
+                f"the command was shortened to {self.share:.0%}, to keep distances after the step"
+            )
+        if self.tasks:
+            lines += ["what the tasks asked for and got:", *(f"  {task}" for task in self.tasks)]
+        if self.relief is not None:
+            lines.append(
+                f"what would help most: relaxing the {self.relief.limit} limit of "
+                f"{self.relief.name}"
+            )
+        return "\n".join(lines)
+
+
+def explain(step: "Step") -> Explanation:
+    """Return the account of a step, from its multipliers and its state evaluated again."""
+    moment, solution = step.moment, step.solution
+    problem = moment.engine.problem
+    flags = tuple(sorted(step.flags, reverse=True))
+    with moment.restored():
+        bindings = [
+            *_joints(problem, moment, solution),
+            *_rows(moment, solution),
+        ]
+        tasks = [_progressed(term, moment, step) for term in problem.terms if term.units]
+    bindings.sort(key=lambda binding: -abs(binding.multiplier))
+    return Explanation(step.status, flags, tuple(bindings), tuple(tasks), moment.share)
+
+
+def _joints(problem: Problem, moment: Moment, solution: Solution) -> list[Binding]:
+    """Return the active bounds of the joints."""
+    assembly, model = moment.engine.assembly, problem.model
+    active = np.flatnonzero(np.abs(solution.bound_multiplier) > ACTIVE_MULTIPLIER).tolist()
+    without = _boxes_without(problem, moment) if active else {}
+    found = []
+    for k in active:
+        multiplier = float(solution.bound_multiplier[k])
+        side = "upper" if multiplier > 0.0 else "lower"
+        bound = float((assembly.qp.ub if multiplier > 0.0 else assembly.qp.lb)[k])
+        joint = int(model.dof_jntid[problem.dofs[k]])
+        further = (kind for kind, box in without.items() if _is_further(box, k, side, bound))
+        kind = next(further, "jerk")
+        if kind == "velocity" and problem.box.velocity[k] == 0.0:
+            kind = "freeze"
+        elif kind == "velocity" and joint_type(model, joint) == mujoco.mjtJoint.mjJNT_FREE:
+            kind = "base"
+        found.append(
+            Binding(kind, joint_name(model, joint), side, bound, abs(multiplier) / assembly.unit)
+        )
+    return found
+
+
+def _boxes_without(problem: Problem, moment: Moment) -> dict[str, BoxLimit]:
+    """Return the box of a step without position limits; without those of velocity, too; and so on.
+
+    The first in which a bound stands further out tells which limit put it there.
+    """
+    box, dofs, boxes = problem.box, problem.dofs, {}
+    infinite = np.full(dofs.size, math.inf)
+    for kind, gone in (
+        ("position", {"lower": -infinite, "upper": infinite}),
+        ("velocity", {"velocity": infinite}),
+        ("acceleration", {"acceleration": infinite}),
+    ):
+        box = replace(box, **gone)
+        boxes[kind] = BoxLimit(box)
+        before = moment.v_previous[dofs], moment.a_previous[dofs]
+        boxes[kind].update(moment.q, *before, moment.dt)
+    return boxes
+
+
+def _is_further(box: BoxLimit, k: int, side: str, bound: float) -> bool:
+    """Return whether an end of a joint's interval stands further out than a bound."""
+    return box.upper[k] > bound + SAME if side == "upper" else box.lower[k] < bound - SAME
+
+
+def _rows(moment: Moment, solution: Solution) -> list[Binding]:
+    """Return the active rows."""
+    assembly = moment.engine.assembly
+    found = []
+    for k in np.flatnonzero(np.abs(solution.row_multiplier) > ACTIVE_MULTIPLIER).tolist():
+        multiplier = float(solution.row_multiplier[k])
+        kind, name, lower, upper = moment.named_row(k)
+        bound, side = (upper, "upper") if multiplier > 0.0 else (lower, "lower")
+        found.append(Binding(kind, name, side, bound, abs(multiplier) / assembly.unit))
+    return found
+
+
+def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:
+    """Return what a task asked for and got."""
+    engine = moment.engine
+    evaluation, dofs = engine.evaluation, engine.problem.dofs
+    part = evaluation.rows_of([term])
+    asked_for = engine.assembly.rate[part]
+    if term.joint:
+        got = step.v
+    else:
+        got = evaluation.jacobian[part][:, dofs] @ step.v[dofs]
+    asked, gained = [], []
+    for rows in _halves(term):
+        wanted, reached = asked_for[rows], got[rows]
+        length = math.sqrt(wanted.dot(wanted))
+        asked.append(length)
+        gained.append(float(wanted @ reached) / length if length > 0.0 else 0.0)
+    error = tuple(float(value) for value in step.error[term.name])
+    return Progressed(term.name, term.units, error, tuple(asked), tuple(gained))
+
+
+def _halves(term: Term) -> Sequence[slice]:
+    """Return the rows of each of a task's units."""
+    if term.rows == 6 and not term.joint:
+        diagonal = term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
+        return [half for half in (slice(3), slice(3, 6)) if diagonal[half].any()]
+    return [slice(None)]

@@ -1,0 +1,353 @@
+"""The collision barrier: pairs of geoms stay apart, measured only where they may be near."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.config.limits import CollisionLimit
+from rmrc.problem.limits.barrier import Barrier, Near
+from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
+from rmrc.problem.limits.extents import extents, half_thickness, levers
+from rmrc.problem.limits.pairs import pair_name, resolve_pairs
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+LEAVE = 1.2
+"""A pair limits the motion until it is this multiple of the distance away at which it began to."""
+FARTHEST = 10.0
+"""Distance in m from which on it does not matter how far two geoms are apart."""
+SPARE = 0.05
+"""Room in m that the bounding spheres must leave for the distance not to be measured."""
+TOUCHING = 1e-9
+"""Distance in m of the nearest points up to which they give no direction."""
+
+
+def collision_pairs(
+    model: mujoco.MjModel, limit: CollisionLimit
+) -> tuple["CollisionPairs", list[str]]:
+    """Resolve a `collision` limit; the notices say what it leaves out.
+
+    Raises:
+        FieldError: If a name is unknown, or an entry of `pairs` comes to nothing.
+        ModelError: If the scene disables MuJoCo's own convex collision detection.
+    """
+    geoms, notices = resolve_pairs(model, limit)
+    pairs = CollisionPairs(
+        geoms=geoms, d_min=limit.d_min, detect=limit.detect, gain=limit.gain, push=limit.push
+    )
+    return pairs, notices
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CollisionPairs:
+    """A `collision` limit with its names resolved."""
+
+    geoms: Ids
+    """Pairs of geoms (p, 2), the geom of the lower type first."""
+    d_min: float
+    """Least distance, m."""
+    detect: float
+    """Distance from which a pair limits the motion, m."""
+    gain: float
+    """Share of the free distance that a step may use."""
+    push: float
+    """Speed at which a pair closer than `d_min` is pushed apart, at most, m/s."""
+
+    def build(self, model: mujoco.MjModel, obstacle_twist: Array) -> "Collision":
+        """Return the barrier; `obstacle_twist` are the velocities of the mocap bodies."""
+        return Collision(model, self, obstacle_twist)
+
+
+class Collision(Barrier):
+    """h = d − d_min of each pair, with ∂h/∂q = nᵀ(J_b − J_a) and ∂h/∂t = nᵀ(v_b − v_a).
+
+    d is the signed distance of geoms a and b, n the normal from a to b, J and v are of the nearest
+    points. A pair is active, limits the motion, from d < max(detect, d_min + what a step can take
+    off d) until d is 1.2 times that: so the rows do not chatter.
+
+    Of a pair that is not active a lower bound of d is known. It falls by as much as the geoms can
+    have moved since; only when it is used up is the pair looked at, and measured where its
+    bounding spheres are not far apart either. That holds for any motion, jumps and moved obstacles
+    included, since how far the geoms moved is taken from their poses.
+    """
+
+    kind: ClassVar[str] = "collision"
+    unit: ClassVar[str] = "m"
+
+    def __init__(self, model: mujoco.MjModel, spec: CollisionPairs, obstacle_twist: Array):
+        self.gain, self.push = spec.gain, spec.push
+        self._model, self._d_min, self._detect = model, spec.d_min, spec.detect
+        self._twist = obstacle_twist
+        count = len(spec.geoms)
+        self._geoms, self._bodies = spec.geoms, model.geom_bodyid[spec.geoms].astype(np.intp)
+        self._body_a, self._body_b = self._bodies.T.copy()
+        self._plane = model.geom_type[spec.geoms[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE
+        self._radii = model.geom_rbound[spec.geoms].sum(axis=1)
+        self._measures = [(a, b, is_capsule_and_box(model, a, b)) for a, b in spec.geoms.tolist()]
+        self._mocap = model.body_mocapid[model.body_rootid[self._bodies]]
+        first, second = levers(model, spec.geoms)
+        self._levers, self._longest = first + second, (first + second).max(axis=0)
+        # The dofs that move a pair by moving b, 1, or by moving a, −1.
+        self._side = (np.sign(second) - np.sign(first))[:, : model.nv]
+        self._dof_root = model.body_rootid[model.dof_bodyid]
+        self._movement = _Movement(model, spec.geoms)
+
+        self._bound = np.full(count, -np.inf)
+        """A lower bound of the distance of each pair at the poses of reference; ∞ where active."""
+        self._threshold = np.full(count, self._detect)
+        """Distance below which each pair becomes active, at the travel of reference."""
+        self._room = -np.inf
+        """How much nearer the geoms can come before a pair may become active."""
+        self._active: list[int] = []
+        self._distance = np.zeros(count)
+        """The distance of each pair where it was measured last."""
+        self._measured: set[int] = set()
+        """The pairs measured at the poses of now."""
+        self._segments = np.zeros((count, 6))
+        self._normals = np.zeros((count, 3))
+        self._travel = np.zeros(model.nv + 6 * model.nmocap)
+        self._travel_now = np.zeros_like(self._travel)
+        none = np.empty(0)
+        self._none = Near(np.empty(0, dtype=np.intp), none, np.empty((0, model.nv)), none)
+
+    def near(self, data: mujoco.MjData, travel: Array, dt: float) -> Near:
+        """Return the active pairs."""
+        motion = self._movement.bound(data)
+        self._extend(travel, dt)
+        grown = float(np.fmax(self._travel_now - self._travel, 0.0).dot(self._longest))
+        if not motion + grown < self._room:
+            moved = self._movement.moved()
+            if not 2.0 * float(moved.max()) + grown < self._room:
+                self._activate(data, moved)
+                motion = 0.0
+        return self._near(data, motion) if self._active else self._none
+
+    def _activate(self, data: mujoco.MjData, moved: Array) -> None:
+        """Make the poses of now those of reference, and find the pairs that are near there."""
+        self._advance(data, moved)
+        if not np.array_equal(self._travel, self._travel_now):
+            self._travel[:], self._threshold[:] = self._travel_now, self._thresholds(slice(None))
+        for pair in self._renew(data, self._threshold).tolist():
+            self._bound[pair] = self._measure(data, pair)
+            if not self._bound[pair] > self._threshold[pair]:
+                self._active.append(pair)
+                self._bound[pair] = np.inf
+        self._active.sort()
+        self._room = float((self._bound - self._threshold).min())
+
+    def _near(self, data: mujoco.MjData, motion: float) -> Near:
+        """Return the active pairs after letting go of those that are far enough."""
+        if self._movement.since_seen(data):
+            self._measured.clear()
+        leave = LEAVE * self._thresholds(self._active)
+        for pair, most in zip(tuple(self._active), leave.tolist(), strict=True):
+            if self._measure(data, pair) > most:
+                self._active.remove(pair)
+                # Known at the poses of now, and at those of reference less by the way between.
+                self._bound[pair] = self._distance[pair] - motion
+                self._room = min(self._room, float(self._bound[pair] - self._threshold[pair]))
+        ids = np.array(self._active, dtype=np.intp)
+        normals = self._directions(data, ids)
+        distance = self._distance[ids] - self._d_min
+        return Near(
+            ids, distance, self._slopes(data, ids, normals), self._drifts(data, ids, normals)
+        )
+
+    def distances(self, data: mujoco.MjData, ids: Ids) -> Array:
+        """Return h of some pairs (k,), at most 10 m."""
+        segment = np.empty(6)
+        measures = (self._measures[i] for i in ids.tolist())
+        d = [signed_distance(self._model, data, pair, FARTHEST, segment) for pair in measures]
+        return np.array(d) - self._d_min
+
+    def reach(self, ids: Ids, step: Array, dt: float) -> Array:
+        """Return the most by which h of some pairs (k,) can fall in a step |Δq| (nv,) of dt."""
+        self._extend(np.abs(step), dt)
+        return self._levers[ids] @ self._travel_now
+
+    def thickness(self, ids: Ids) -> Array:
+        """Return the motion (k,) in m that cannot carry one geom of a pair through the other.
+
+        It is `d_min` and the radius of a ball that fits into the thinner one.
+        """
+        pairs = self._geoms[ids].tolist()
+        ball = {g: half_thickness(self._model, g) for pair in pairs for g in pair}
+        return np.array([min(ball[a], ball[b]) for a, b in pairs]) + self._d_min
+
+    def name(self, identity: int) -> str:
+        """Return the names of the two geoms."""
+        return pair_name(self._model, *self._geoms[identity].tolist())
+
+    def least(self, data: mujoco.MjData) -> tuple[float, int]:
+        """Return the least h of all pairs, exact below `detect`, and the pair."""
+        motion = self._movement.bound(data)
+        if self._movement.since_seen(data):
+            self._measured.clear()
+        nearest = int(self._bound.argmin())
+        if not self._bound[nearest] - motion > self._detect:
+            self._advance(data, self._movement.moved())
+            self._renew(data, np.full_like(self._bound, self._detect))
+            nearest, motion = self._nearest(data), 0.0
+            self._room = float((self._bound - self._threshold).min())
+        least = float(self._bound[nearest]) - motion
+        for pair in self._active:
+            if not self._measure(data, pair) > least:
+                least, nearest = float(self._distance[pair]), pair
+        return least - self._d_min, nearest
+
+    def _nearest(self, data: mujoco.MjData) -> int:
+        """Return the pair, of those that are not active, with the least distance or bound of it."""
+        while True:
+            pair = int(self._bound.argmin())
+            if pair in self._measured or self._bound[pair] > self._detect:
+                return pair
+            self._bound[pair] = self._measure(data, pair)
+
+    def _extend(self, travel: Array, dt: float) -> None:
+        """Join the travel of the dofs with that of the mocap bodies."""
+        nv = self._model.nv
+        np.fmin(travel, FARTHEST, out=self._travel_now[:nv])  # it may be unlimited
+        if self._twist.size:
+            np.multiply(np.abs(self._twist).ravel(), dt, out=self._travel_now[nv:])
+
+    def _thresholds(self, pairs: slice | list[int]) -> Array:
+        """Return the distances below which pairs become active, with the travel of now."""
+        near = self._levers[pairs] @ self._travel_now + self._d_min
+        return np.clip(near, self._detect, 0.5 * FARTHEST)
+
+    def _advance(self, data: mujoco.MjData, moved: Array) -> None:
+        """Make the poses of now those of reference, and lower the bounds by the way between."""
+        self._bound -= moved.take(self._body_a)
+        self._bound -= moved.take(self._body_b)
+        self._movement.restart(data)
+        if self._movement.since_seen(data):
+            self._measured.clear()
+
+    def _renew(self, data: mujoco.MjData, level: Array) -> Ids:
+        """Raise the bounds below a level (p,) to those of the bounding spheres, if far above it.
+
+        Return the pairs whose bounds stay below.
+        """
+        pairs = (~(self._bound > level)).nonzero()[0]
+        if not pairs.size:
+            return pairs
+        first, second = self._geoms[pairs].T
+        apart = data.geom_xpos[second] - data.geom_xpos[first]
+        height = np.einsum("ij,ij->i", apart, data.geom_xmat[first, 2::3])
+        length = np.sqrt(np.einsum("ij,ij->i", apart, apart))
+        distance = np.where(self._plane[pairs], height, length) - self._radii[pairs]
+        far = distance > level[pairs] + SPARE
+        self._bound[pairs[far]] = distance[far]
+        return pairs[~far]
+
+    def _measure(self, data: mujoco.MjData, pair: int) -> float:
+        """Return the distance of a pair at the poses of now."""
+        if pair not in self._measured:
+            self._distance[pair] = signed_distance(
+                self._model, data, self._measures[pair], FARTHEST, self._segments[pair]
+            )
+            self._measured.add(pair)
+        return float(self._distance[pair])
+
+    def _directions(self, data: mujoco.MjData, ids: Ids) -> Array:
+        """Return the normals (k, 3) from a to b.
+
+        Geoms that touch, or whose axes cross, have none: they keep the last one known, else that
+        of the plane or of their centres.
+        """
+        segments = self._segments[ids]
+        normals = segments[:, 3:] - segments[:, :3]
+        lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+        lost = (~(lengths > TOUCHING)).nonzero()[0]
+        lengths = np.copysign(lengths, self._distance[ids])
+        for k in lost.tolist():
+            pair, (a, b) = ids[k], self._geoms[ids[k]]
+            normals[k] = data.geom_xpos[b] - data.geom_xpos[a]
+            if self._normals[pair].any():
+                normals[k] = self._normals[pair]
+            elif self._plane[pair]:
+                normals[k] = data.geom_xmat[a, 2::3]
+            lengths[k] = np.linalg.norm(normals[k]) or 1.0
+        normals /= lengths[:, None]
+        self._normals[ids] = normals
+        return normals
+
+    def _slopes(self, data: mujoco.MjData, ids: Ids, normals: Array) -> Array:
+        """Return nᵀ(J_b − J_a) (k, nv).
+
+        The nearest points are on one line along n. So a dof that moves both geoms leaves d as it
+        is, and for the others the moment of n about the world's origin is the same at both.
+        """
+        moments = _cross(self._segments[ids, :3], normals)
+        turning, centre = data.cdof[:, :3], data.subtree_com[self._dof_root]
+        velocity = data.cdof[:, 3:] - _cross(turning, centre)  # of the point at the origin
+        slopes = normals @ velocity.T + moments @ turning.T
+        slopes *= self._side[ids]
+        return slopes
+
+    def _drifts(self, data: mujoco.MjData, ids: Ids, normals: Array) -> Array:
+        """Return nᵀ(v_b − v_a) (k,) of the mocap bodies."""
+        drifts = np.zeros(ids.size)
+        if not self._twist.size:
+            return drifts
+        for k, side in np.argwhere(self._mocap[ids] >= 0).tolist():
+            pair = ids[k]
+            twist = self._twist[self._mocap[pair, side]]
+            origin = data.xpos[self._model.body_rootid[self._bodies[pair, side]]]
+            arm = self._segments[pair, 3 * side : 3 * side + 3] - origin
+            speed = normals[k] @ twist[:3] + np.cross(arm, normals[k]) @ twist[3:]
+            drifts[k] += speed if side else -speed
+        return drifts
+
+
+class _Movement:
+    """How far the geoms have moved since poses of reference, at most."""
+
+    def __init__(self, model: mujoco.MjModel, geoms: Ids):
+        self._position, self._quaternion = np.zeros((model.nbody, 3)), np.zeros((model.nbody, 4))
+        self._seen_position = np.full((model.nbody, 3), np.nan)
+        self._seen_quaternion = np.full((model.nbody, 4), np.nan)
+        self._shift, self._turn = np.zeros((model.nbody, 3)), np.zeros((model.nbody, 4))
+        reach = np.zeros(model.nbody)
+        np.maximum.at(reach, model.geom_bodyid[geoms], extents(model)[geoms])
+        # A rotation moves a point at the distance ρ by at most 2ρ times the quaternion's change.
+        self._lever = np.repeat(2.0 * reach[:, None], 4, axis=1)
+
+    def bound(self, data: mujoco.MjData) -> float:
+        """Return how much nearer two geoms can have come to each other, at most."""
+        shift, turn = self._shift, self._turn
+        np.subtract(data.xpos, self._position, out=shift)
+        np.subtract(data.xquat, self._quaternion, out=turn)
+        np.multiply(turn, self._lever, out=turn)
+        # The sum of two of the bodies' motions is at most √2 times the norm of all.
+        return 1.4143 * float(np.sqrt(np.vdot(shift, shift)) + np.sqrt(np.vdot(turn, turn)))
+
+    def moved(self) -> Array:
+        """Return how far each body's geoms moved (nbody,), up to the poses of the last `bound`."""
+        moved = np.sqrt(np.einsum("ij,ij->i", self._shift, self._shift))
+        moved += np.sqrt(np.einsum("ij,ij->i", self._turn, self._turn))
+        return moved
+
+    def restart(self, data: mujoco.MjData) -> None:
+        """Make the poses of now those of reference."""
+        self._position[:], self._quaternion[:] = data.xpos, data.xquat
+
+    def since_seen(self, data: mujoco.MjData) -> bool:
+        """Return whether the poses are others than at the last call."""
+        position, quaternion = self._seen_position, self._seen_quaternion
+        if (data.xpos == position).all() and (data.xquat == quaternion).all():
+            return False
+        position[:], quaternion[:] = data.xpos, data.xquat
+        return True
+
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products of rows (k, 3); numpy's takes six times as long for a few."""
+    return a.take(_NEXT, 1) * b.take(_LAST, 1) - a.take(_LAST, 1) * b.take(_NEXT, 1)

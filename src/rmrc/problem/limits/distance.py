@@ -1,0 +1,104 @@
+"""Signed distance of two geoms: MuJoCo's, and our own where MuJoCo's is wrong."""
+
+from math import copysign, sqrt
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+
+# Directions nearer to parallel than this, a sine, have no common perpendicular worth using.
+PARALLEL = 1e-9
+
+
+def is_capsule_and_box(model: mujoco.MjModel, a: int, b: int) -> bool:
+    """Return whether two geoms, ordered by type, need `signed_distance` to look twice."""
+    return model.geom_type[a] == _CAPSULE and model.geom_type[b] == _BOX
+
+
+def signed_distance(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    pair: tuple[int, int, bool],
+    most: float,
+    segment: Array,
+) -> float:
+    """Return the distance of two geoms in m, negative where they overlap.
+
+    Args:
+        model: The model.
+        data: With `mj_kinematics` done.
+        pair: Geoms a and b, ordered by type, and whether they are a capsule and a box.
+        most: Distance in m from which on this is all that is returned.
+        segment: Gets the nearest points (6,) of a and of b, with b − a = d n for the normal n
+            from a to b, where the distance is below `most`.
+    """
+    a, b, doubtful = pair
+    if doubtful:
+        d = _pierced_distance(model, data, a, b, segment)
+        if d is not None:
+            return d
+    return mujoco.mj_geomDistance(model, data, a, b, most, segment)
+
+
+def _pierced_distance(
+    model: mujoco.MjModel, data: mujoco.MjData, capsule: int, box: int, segment: Array
+) -> float | None:
+    """Return the distance of a capsule whose axis passes through a box; None for any other.
+
+    `mj_geomDistance` takes the axis' distance from the box there, which is 0 or that of another
+    part of the capsule, so that it may call the two apart. The overlap of a segment and a box is
+    least along a normal of the box's faces or along a perpendicular of the segment and an edge.
+    """
+    turn, turned = data.geom_xmat[box].tolist(), data.geom_xmat[capsule, 2::3].tolist()
+    apart = (data.geom_xpos[capsule] - data.geom_xpos[box]).tolist()
+    c, u = _in_axes(turn, apart), _in_axes(turn, turned)  # centre and direction, in the box's axes
+    s = model.geom_size[box].tolist()
+    radius, half = model.geom_size[capsule, :2].tolist()
+    least, axis, edge = np.inf, [0.0, 0.0, 0.0], -1
+    for i in range(3):
+        overlap = s[i] + half * abs(u[i]) - abs(c[i])
+        if not overlap > 0.0:
+            return None
+        if overlap < least:
+            least, axis = overlap, [0.0, 0.0, 0.0]
+            axis[i] = -copysign(1.0, c[i])
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        sine = sqrt(u[j] ** 2 + u[k] ** 2)
+        if sine < PARALLEL:
+            continue
+        offset = (c[k] * u[j] - c[j] * u[k]) / sine
+        overlap = (s[j] * abs(u[k]) + s[k] * abs(u[j])) / sine - abs(offset)
+        if not overlap > 0.0:
+            return None
+        if overlap < least:
+            least, axis, edge = overlap, [0.0, 0.0, 0.0], i
+            away = -copysign(1.0, offset)
+            axis[j], axis[k] = -away * u[k] / sine, away * u[j] / sine
+    # Where on the capsule's axis the contact is: at its end, or abreast of the box's edge.
+    along = copysign(half, sum(map(float.__mul__, u, axis)))
+    if edge >= 0:
+        j, k = (edge + 1) % 3, (edge + 2) % 3
+        corner = {m: -copysign(s[m], axis[m]) for m in (j, k)}
+        gap = sum((corner[m] - c[m]) * u[m] for m in (j, k))
+        along = gap / (u[j] ** 2 + u[k] ** 2)
+    d = -(least + radius)
+    normal = data.geom_xmat[box].reshape(3, 3) @ axis
+    segment[:3] = data.geom_xpos[capsule] + along * np.array(turned) + radius * normal
+    segment[3:] = segment[:3] + d * normal
+    return d
+
+
+def _in_axes(turn: list[float], v: list[float]) -> tuple[float, float, float]:
+    """Return the components of a vector along the columns of a rotation matrix (9,)."""
+    x, y, z = v
+    return (
+        turn[0] * x + turn[3] * y + turn[6] * z,
+        turn[1] * x + turn[4] * y + turn[7] * z,
+        turn[2] * x + turn[5] * y + turn[8] * z,
+    )

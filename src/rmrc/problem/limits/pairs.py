@@ -1,0 +1,239 @@
+"""From the names in a `collision` limit to pairs of geoms, and what was left out."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.config.limits import CollisionLimit
+from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.frames import OBJECTS, names
+from rmrc.problem.limits.extents import dofs_of_bodies
+from rmrc.problem.tasks.base import FieldError
+
+Mask = NDArray[np.bool_]
+
+_T = mujoco.mjtGeom
+# MuJoCo gives wrong distances from a height field and from a signed distance function.
+_UNMEASURED = (_T.mjGEOM_HFIELD, _T.mjGEOM_SDF)
+_DISABLE = mujoco.mjtDisableBit
+
+SHOWN = 4
+"""Pairs that a notice names."""
+
+
+def resolve_pairs(
+    model: mujoco.MjModel, limit: CollisionLimit
+) -> tuple[NDArray[np.intp], list[str]]:
+    """Return the pairs of geoms that a limit keeps apart, and notices on those it leaves out.
+
+    `all` is what MuJoCo would let collide: not the geoms of a body and its parent, nor what the
+    scene excludes or `contype` and `conaffinity` filter out, but its `<pair>`s in any case. Of the
+    pairs that are named, those of `groups` are filtered by parent and exclusion too; those of
+    geoms and bodies are all meant. The geoms of a body are those that collide with anything, where
+    there are any. What no joint moves relative to each other is never a pair.
+
+    Returns:
+        Pairs (p, 2), the geom of the lower type first, as MuJoCo orders them; the notices.
+
+    Raises:
+        FieldError: If a name is unknown, or an entry of `pairs` comes to nothing.
+        ModelError: If the scene disables MuJoCo's own convex collision detection.
+    """
+    if model.opt.disableflags & _DISABLE.mjDSBL_NATIVECCD:
+        raise ModelError(
+            "the scene disables nativeccd, without which MuJoCo's distances are wrong by "
+            'centimetres: take <flag nativeccd="disable"/> out of it'
+        )
+    return _Resolver(model, limit).pairs()
+
+
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """Return the name of a geom, or its number in its body."""
+    body = int(model.geom_bodyid[geom])
+    number = geom - int(model.body_geomadr[body])
+    return model.geom(geom).name or f"geom {number} of {model.body(body).name or f'body {body}'}"
+
+
+def pair_name(model: mujoco.MjModel, first: int, second: int) -> str:
+    """Return what a message calls a pair of geoms."""
+    return f"{geom_name(model, first)} – {geom_name(model, second)}"
+
+
+@dataclass(frozen=True)
+class _Meaning:
+    """The geoms that a name stands for."""
+
+    geoms: Mask
+    group: bool
+
+
+class _Resolver:
+    """Pairs are symmetric flags (ngeom, ngeom), which one filter after another thins."""
+
+    def __init__(self, model: mujoco.MjModel, limit: CollisionLimit):
+        self._model, self._limit = model, limit
+        self._notices: list[str] = []
+        self._silent: set[int] = set()
+        body = model.geom_bodyid
+        self._moved = _moved(model)[np.ix_(body, body)]
+        self._measured = _measured(model)
+        self._collides = (model.geom_contype | model.geom_conaffinity) != 0
+
+    def pairs(self) -> tuple[NDArray[np.intp], list[str]]:
+        if self._limit.pairs == "all":
+            wanted, meant = self._all()
+        else:
+            wanted, meant = self._named(self._limit.pairs)
+        wanted = self._without("that MuJoCo cannot measure", wanted, ~self._measured)
+        body = self._model.geom_bodyid
+        filters = {
+            "of a body and its parent": _parents(self._model)[np.ix_(body, body)],
+            "that the scene excludes": _excluded(self._model)[np.ix_(body, body)],
+        }
+        for reason, mask in filters.items():
+            wanted = self._without(reason, wanted, mask & ~meant)
+        wanted = self._without("that `exclude` names", wanted, self._excepted(wanted))
+        if self._silent:
+            self._leave_out(
+                "geoms of the named bodies that collide with nothing",
+                [geom_name(self._model, g) for g in sorted(self._silent)],
+            )
+        if not wanted.any():
+            raise FieldError("pairs", "there is no pair left to keep apart; " + self._reasons())
+        pairs = np.argwhere(np.triu(wanted))
+        swapped = np.diff(self._model.geom_type[pairs], axis=1)[:, 0] < 0
+        pairs[swapped] = pairs[swapped, ::-1]
+        return pairs, [f"pairs of geoms that collision keeps apart: {len(pairs)}", *self._notices]
+
+    def _reasons(self) -> str:
+        return "; ".join(self._notices) or "no joint moves two geoms that may collide"
+
+    def _all(self) -> tuple[Mask, Mask]:
+        """Return the pairs that move and those that the scene asks for one by one."""
+        model = self._model
+        meant = np.zeros_like(self._moved)
+        meant[model.pair_geom1, model.pair_geom2] = meant[model.pair_geom2, model.pair_geom1] = True
+        masks = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
+        silent = np.flatnonzero(~self._collides & ~meant.any(axis=1))
+        if silent.size:
+            self._leave_out(
+                "geoms whose contype and conaffinity are 0",
+                [geom_name(model, g) for g in silent.tolist()],
+            )
+        both = self._collides[:, None] & self._collides[None, :]
+        filtered = both & ~(masks | masks.T) & ~meant
+        wanted = self._moved & (both | meant)
+        return self._without("by contype and conaffinity", wanted, filtered), meant
+
+    def _named(self, entries: tuple[tuple[str, str], ...]) -> tuple[Mask, Mask]:
+        """Return the pairs that the names stand for and those of them that no filter takes out."""
+        wanted, meant = np.zeros_like(self._moved), np.zeros_like(self._moved)
+        for entry in entries:
+            first, second = (self._meaning("pairs", name) for name in entry)
+            pairs = _product(first.geoms, second.geoms)
+            between = f"'{entry[0]}' and '{entry[1]}'"
+            if not (pairs & self._moved).any():
+                raise FieldError("pairs", f"no joint moves {between} relative to each other")
+            if not (pairs & self._moved & self._measured).any():
+                raise FieldError("pairs", f"MuJoCo cannot measure the distance of {between}")
+            wanted |= pairs & self._moved
+            if not (first.group or second.group):
+                meant |= pairs
+        return wanted, meant
+
+    def _excepted(self, wanted: Mask) -> Mask:
+        """Return the pairs that `exclude` names."""
+        excepted = np.zeros_like(wanted)
+        for entry in self._limit.exclude:
+            first, second = (self._meaning("exclude", name, whole=True) for name in entry)
+            pairs = _product(first.geoms, second.geoms)
+            if not (pairs & wanted).any():
+                self._notices.append(
+                    f"collision: '{entry[0]}' and '{entry[1]}' in `exclude` are no pair anyway"
+                )
+            excepted |= pairs
+        return excepted
+
+    def _meaning(self, key: str, name: str, whole: bool = False) -> _Meaning:
+        """Return what a name stands for: a group, else a body, else a geom."""
+        if name in self._limit.groups:
+            members = self._limit.groups[name]
+            geoms = [self._geoms("groups", member, whole) for member in members]
+            return _Meaning(np.logical_or.reduce(geoms), True)
+        return _Meaning(self._geoms(key, name, whole), False)
+
+    def _geoms(self, key: str, name: str, whole: bool) -> Mask:
+        """Return the one geom, or the geoms of a body: the whole of it, or what collides of it."""
+        model, found = self._model, np.zeros(self._model.ngeom, dtype=np.bool_)
+        body = mujoco.mj_name2id(model, OBJECTS["body"], name)
+        if body < 0:
+            geom = mujoco.mj_name2id(model, OBJECTS["geom"], name)
+            if geom < 0:
+                known = [*names(model, "geom"), *names(model, "body"), *self._limit.groups]
+                kind = "geom or body" if key == "groups" else "geom, body or group"
+                raise FieldError(key, unknown_name(kind, name, dict.fromkeys(known)))
+            found[geom] = True
+            return found
+        found = model.geom_bodyid == body
+        if not found.any():
+            raise FieldError(key, f"the body '{name}' has no geoms")
+        if not whole and (found & self._collides).any():
+            self._silent.update(np.flatnonzero(found & ~self._collides).tolist())
+            found &= self._collides
+        return found
+
+    def _without(self, reason: str, wanted: Mask, mask: Mask) -> Mask:
+        """Return what a mask leaves of the pairs, with a notice on what it takes out."""
+        out = np.argwhere(np.triu(wanted & mask))
+        if len(out):
+            shown = [pair_name(self._model, a, b) for a, b in out.tolist()]
+            self._leave_out(f"pairs {reason}", shown)
+        return wanted & ~mask
+
+    def _leave_out(self, what: str, shown: list[str]) -> None:
+        more = ", …" if len(shown) > SHOWN else ""
+        listed = ", ".join(shown[:SHOWN]) + more
+        self._notices.append(f"collision leaves out {what} ({len(shown)}): {listed}")
+
+
+def _product(first: Mask, second: Mask) -> Mask:
+    """Return the pairs of the geoms of one set with those of another."""
+    pairs = first[:, None] & second[None, :]
+    return pairs | pairs.T
+
+
+def _moved(model: mujoco.MjModel) -> Mask:
+    """Return which bodies the joints move relative to each other (nbody, nbody)."""
+    moves = dofs_of_bodies(model)
+    return (moves[:, None, :] != moves[None, :, :]).any(axis=2)
+
+
+def _parents(model: mujoco.MjModel) -> Mask:
+    """Return which bodies MuJoCo takes for parent and child (nbody, nbody).
+
+    Bodies without a joint count with the body they are welded to; what is welded to the world is
+    nobody's parent.
+    """
+    weld = model.body_weldid
+    if model.opt.disableflags & _DISABLE.mjDSBL_FILTERPARENT:
+        return np.zeros((model.nbody, model.nbody), dtype=np.bool_)
+    parent = weld[model.body_parentid[weld]]
+    child_of = (parent[:, None] == weld[None, :]) & (weld[:, None] != 0) & (weld[None, :] != 0)
+    return child_of | child_of.T
+
+
+def _excluded(model: mujoco.MjModel) -> Mask:
+    """Return the pairs of bodies that the scene's <exclude> names (nbody, nbody)."""
+    excluded = np.zeros((model.nbody, model.nbody), dtype=np.bool_)
+    first, second = model.exclude_signature >> 16, model.exclude_signature & 0xFFFF
+    excluded[first, second] = excluded[second, first] = True
+    return excluded
+
+
+def _measured(model: mujoco.MjModel) -> Mask:
+    """Return which geoms MuJoCo can tell the distance of (ngeom, ngeom)."""
+    known = ~np.isin(model.geom_type, _UNMEASURED)
+    plane = model.geom_type == _T.mjGEOM_PLANE
+    return known[:, None] & known[None, :] & ~(plane[:, None] & plane[None, :])

@@ -1,0 +1,62 @@
+"""The limits that are rows of the program: of distances, and of the speeds of frames."""
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.config.limits import LimitsModel
+from rmrc.config.mistakes import Mistake
+from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.limits.ball import compile_balls
+from rmrc.problem.limits.barrier import BarrierLimit
+from rmrc.problem.limits.collision import collision_pairs
+from rmrc.problem.limits.speed import FrameSpeed
+from rmrc.problem.limits.workspace import compile_workspace
+from rmrc.problem.tasks.base import FieldError, Term
+from rmrc.problem.tasks.frame import FrameTerm
+
+
+def compile_barriers(
+    model: mujoco.MjModel,
+    limits: LimitsModel,
+    dofs: NDArray[np.intp],
+    mistakes: list[Mistake],
+    notices: list[str],
+) -> tuple[BarrierLimit, ...]:
+    """Return the limits on distances; what is wrong goes to `mistakes`, the rest to `notices`."""
+    found: list[BarrierLimit] = [
+        *compile_balls(model, limits, dofs),
+        *compile_workspace(model, limits.workspace, dofs, mistakes),
+    ]
+    if limits.collision != "off":
+        where = ("limits", "collision")
+        try:
+            pairs, left_out = collision_pairs(model, limits.collision)
+        except FieldError as mistake:
+            mistakes.append(Mistake((*where, mistake.key), str(mistake)))
+        except ModelError as mistake:
+            mistakes.append(Mistake(where, str(mistake)))
+        else:
+            found.append(pairs)
+            notices.extend(left_out)
+    return tuple(found)
+
+
+def compile_speeds(
+    limits: LimitsModel, terms: Sequence[Term], mistakes: list[Mistake]
+) -> tuple[FrameSpeed, ...]:
+    """Return the largest speeds of the frames of tasks; what is wrong goes to `mistakes`."""
+    frames = {term.name: term for term in terms if isinstance(term, FrameTerm)}
+    found = []
+    for name, speed in limits.speed.items():
+        if name not in frames:
+            message = unknown_name("frame task", name, frames)
+            mistakes.append(Mistake(("limits", "speed", name), message, key=True))
+            continue
+        term = frames[name]
+        linear, angular = speed.linear or math.inf, speed.angular or math.inf
+        found.append(FrameSpeed(name, term.frame, term.axes == "body", linear, angular))
+    return tuple(found)

@@ -1,0 +1,208 @@
+"""The `loop` task: the equality constraints of the model itself, such as closed chains."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rmrc.config.base import NameOf
+from rmrc.problem.configuration import joint_type
+from rmrc.problem.frames import find
+from rmrc.problem.tasks.base import (
+    Array,
+    ConstraintTask,
+    FieldError,
+    Term,
+    WeightedTask,
+    gain_value,
+    weight_array,
+)
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
+
+_CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+_JOINT, _TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
+ROWS = {_CONNECT: 3, _WELD: 6, _JOINT: 1, _TENDON: 1}
+"""Number of rows of each type of constraint."""
+TORQUE_SCALE = 10
+"""Where a weld has its `torquescale` among its data."""
+
+
+class LoopTask(ConstraintTask, WeightedTask):
+    """Hold equality constraints of the model: connect, weld, joint and tendon."""
+
+    type: Literal["loop"] = "loop"
+    equalities: (
+        Annotated[tuple[Annotated[str, NameOf("equality")], ...], Field(min_length=1)] | None
+    ) = None
+    """The constraints that are meant; by default all that the model has active."""
+
+    def compile(self, model: mujoco.MjModel, start: Array) -> "LoopTerm":
+        """Find the constraints.
+
+        Raises:
+            FieldError: If there is none, or one is not active or of a flexible body.
+        """
+        equalities = self._found(model)
+        scale, angular = zip(*(_true_units(model, i) for i in equalities), strict=True)
+        return LoopTerm(
+            name=self.name,
+            type=self.type,
+            level=self.level,
+            gain=gain_value(self.gain),
+            weight=weight_array(self.B, sum(part.size for part in scale)),
+            target=start[:0],
+            hard=self.hard,
+            equalities=equalities,
+            scale=np.concatenate(scale),
+            angular=np.concatenate(angular),
+        )
+
+    def _found(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        """Return the ids of the constraints that are meant."""
+        if model.opt.disableflags & (
+            mujoco.mjtDisableBit.mjDSBL_EQUALITY | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        ):
+            raise FieldError("equalities", "the model's options disable its equality constraints")
+        named = dict.fromkeys(find(model, "equality", name) for name in self.equalities or ())
+        found = tuple(named) or tuple(np.flatnonzero(model.eq_active0).tolist())
+        if not found:
+            raise FieldError("equalities", "this model has no active equality constraint")
+        for i in found:
+            name = equality_name(model, i)
+            if not model.eq_active0[i]:
+                raise FieldError("equalities", f"'{name}' is not active: the model switches it off")
+            if mujoco.mjtEq(int(model.eq_type[i])) not in ROWS:
+                raise FieldError(
+                    "equalities",
+                    f"'{name}' is a constraint of a flexible body; connect, weld, joint and tendon "
+                    "can be held: name those that are meant",
+                )
+        return found
+
+
+def equality_name(model: mujoco.MjModel, equality: int) -> str:
+    """Return what a message calls an equality constraint."""
+    return model.equality(equality).name or f"equality {equality}"
+
+
+def _true_units(model: mujoco.MjModel, i: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Return what turns each residual of a constraint into m or rad, and which are angles."""
+    kind = mujoco.mjtEq(int(model.eq_type[i]))
+    scale, angular = np.ones(ROWS[kind]), np.zeros(ROWS[kind], dtype=bool)
+    if kind == _WELD:  # its rotation is the vector part of a quaternion, times the torque scale
+        torque_scale = model.eq_data[i, TORQUE_SCALE]
+        scale[3:] = 2.0 / torque_scale if torque_scale else 0.0
+        angular[3:] = True
+    elif kind == _JOINT:
+        angular[:] = _is_hinge(model, model.eq_obj1id[i])
+    elif kind == _TENDON:
+        tendon = model.eq_obj1id[i]
+        first = model.tendon_adr[tendon]
+        wraps = range(first, first + model.tendon_num[tendon])
+        angular[:] = all(
+            model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT
+            and _is_hinge(model, model.wrap_objid[w])
+            for w in wraps
+        )
+    return scale, angular
+
+
+def _is_hinge(model: mujoco.MjModel, joint: int) -> bool:
+    return joint_type(model, joint) == mujoco.mjtJoint.mjJNT_HINGE
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LoopTerm(Term):
+    """Rows of a `loop` task: e = −r(q) and J = ∂r/∂q for MuJoCo's own residuals r.
+
+    A connect has 3 rows in m; a weld these and the vector part of its quaternion's error times
+    `torquescale`; a joint and a tendon one each, y − y₀ − p(x − x₀) for the polynomial p.
+    """
+
+    decisive: ClassVar[bool] = True
+
+    equalities: tuple[int, ...]
+    """Ids of the constraints, in the order of the rows."""
+    scale: Array
+    """What turns a residual (rows,) into m or rad, for small angles."""
+    angular: NDArray[np.bool_]
+    """The rows that are angles (rows,)."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The norm of the gaps and that of the angles, each where there are any."""
+        return tuple(compress(("m", "rad"), self._kinds))
+
+    @property
+    def _kinds(self) -> tuple[bool, bool]:
+        return (not self.angular.all(), bool(self.angular.any()))
+
+    def measure(self, error: Array) -> Array:
+        """Return the norm of the gaps in m and that of the angles in rad."""
+        true = self.scale * error
+        gaps, angles = true[~self.angular], true[self.angular]
+        return np.sqrt([gaps @ gaps, angles @ angles])[list(self._kinds)]
+
+    @classmethod
+    def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
+        """Evaluate all terms by one call of MuJoCo's."""
+        return _LoopEvaluator([t for t in terms if isinstance(t, LoopTerm)], evaluation)
+
+
+class _LoopEvaluator:
+    """Reads residuals and Jacobians where MuJoCo makes the rows of its constraints.
+
+    Equalities come first there, in the order of their ids; MuJoCo leaves out one that no joint
+    moves, whose rows are then zero here.
+    """
+
+    def __init__(self, terms: Sequence[LoopTerm], evaluation: "Evaluation"):
+        model = self._model = evaluation.model
+        self._data = evaluation.data
+        rows = evaluation.rows_of(terms)
+        self._jacobian, self._error = evaluation.jacobian[rows], evaluation.error[rows]
+        self._equalities = [i for term in terms for i in term.equalities]
+        self._tendons = bool((model.eq_type[self._equalities] == _TENDON).any())
+        self._sparse = bool(mujoco.mj_isSparse(model))
+        self._known = np.zeros(0, dtype=np.int32)
+        self._locate(self._known)
+
+    def _locate(self, known: NDArray[np.int32]) -> None:
+        """Find each row among MuJoCo's, for the ids that those have."""
+        self._known, source = known.copy(), []
+        first = {i: k for k, i in reversed(list(enumerate(known.tolist())))}
+        for i in self._equalities:
+            count = ROWS[mujoco.mjtEq(int(self._model.eq_type[i]))]
+            source += range(first[i], first[i] + count) if i in first else [-1] * count
+        self._source = np.array(source)
+        self._absent = np.flatnonzero(self._source < 0)
+
+    def __call__(self) -> None:
+        model, data = self._model, self._data
+        if self._tendons:
+            mujoco.mj_tendon(model, data)
+        mujoco.mj_makeConstraint(model, data)
+        known = data.efc_id[: data.ne]
+        if known.size != self._known.size or (known != self._known).any():
+            self._locate(known)
+        if known.size:
+            np.take(self._rows(known.size), self._source, axis=0, out=self._jacobian)
+            np.negative(data.efc_pos[self._source], out=self._error)
+        self._jacobian[self._absent] = self._error[self._absent] = 0.0
+
+    def _rows(self, count: int) -> Array:
+        """Return the Jacobian (count, nv) of the equalities."""
+        model, data = self._model, self._data
+        if not self._sparse:
+            return data.efc_J[: count * model.nv].reshape(count, model.nv)
+        dense = np.empty((count, model.nv))
+        layout = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        mujoco.mju_sparse2dense(dense, data.efc_J, layout[0][:count], layout[1][:count], layout[2])
+        return dense

@@ -1,0 +1,190 @@
+"""The rows lo ≤ C v ≤ hi of a step: barriers, speeds of frames, and limits of mink's."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.limits.barrier import Barrier, Near
+from rmrc.problem.limits.box import BoxLimit
+from rmrc.problem.limits.speed import SpeedRows
+from rmrc.problem.problem import Problem
+
+Array = NDArray[np.float64]
+
+PASSED = 1e-6
+"""A distance this little below 0, m or rad, is on its limit: MuJoCo's measurements are no finer."""
+STOPPING = 0.5
+"""Share of the deceleration along a barrier's slope that is counted on: the joints do not brake in
+the proportions of the slope."""
+ROUNDING = 1e-9
+"""Share by which a row stays below the fastest that the box allows."""
+FASTEST, FARTHEST = 1e6, 10.0
+"""Rate in rad/s or m/s, and way of a joint in a step in rad or m, that stand for any."""
+
+
+@dataclass(eq=False)
+class Block:
+    """The rows of one barrier in the present step."""
+
+    barrier: Barrier
+    near: Near
+    rows: slice
+
+
+class Rows:
+    """Gathers the rows of a step; their number may change from step to step.
+
+    A barrier's row is slope·v ≥ −rate(h) − drift with rate(h) = gain h/dt and, with acceleration
+    limits, no more than the speed −a dt + √(a²dt² + 2ah) from which the distance can still be
+    stopped at 0. Where h < 0 it asks for a way back at no more than `push`. What the box alone
+    makes impossible is not asked for: the check of the command where it leads says what comes of
+    that.
+    """
+
+    def __init__(self, problem: Problem, evaluation: Evaluation):
+        self._problem, self._evaluation = problem, evaluation
+        model = problem.model
+        self.barriers: list[Barrier] = [
+            limit.build(model, evaluation.obstacle_twist) for limit in problem.barriers
+        ]
+        self._speeds = [
+            (SpeedRows(limit, evaluation.data, model.nv), evaluation.slice_of(limit.task))
+            for limit in problem.speeds
+        ]
+        self.any = bool(self.barriers or self._speeds or problem.mink_limits)
+        """Whether there can be any."""
+        self.count = 0
+        self.matrix = np.zeros((0, problem.dofs.size))
+        """C (count, n)."""
+        self.lower, self.upper = np.zeros((2, 0))
+        """lo and hi (count,)."""
+        self.blocks: list[Block] = []
+        """The barriers that have rows now."""
+        self.passed = False
+        """Whether a distance is below its limit."""
+        self._inverse_acceleration = 1.0 / problem.box.acceleration  # 0 where there is no limit
+        self._stops = bool(self._inverse_acceleration.any())
+        self._travel = np.zeros(model.nv)
+
+    def update(self, box: BoxLimit, rate: Array, dt: float) -> None:
+        """Write the rows at the present kinematics for a step of dt with ẋ of all terms."""
+        problem, dofs = self._problem, self._problem.dofs
+        parts: list[tuple[Array, Array, Array]] = []
+        self.blocks = []
+        self.passed = False
+        self.count = 0
+        for speed, part in self._speeds:
+            full, bound = np.empty((speed.count, problem.model.nv)), np.empty(speed.count)
+            speed.write(problem.model, rate[part], full, bound)
+            self._add(parts, full[:, dofs], -bound, bound)
+        # Without a limit 0 · ∞ would be no number, and no joint goes further than around.
+        low, high = np.maximum(box.lower, -FASTEST), np.minimum(box.upper, FASTEST)
+        fastest = np.maximum(np.abs(low), np.abs(high))
+        travel = fastest * dt
+        if self._stops:
+            travel += 0.5 * fastest * fastest * self._inverse_acceleration
+        self._travel[dofs] = np.minimum(travel, FARTHEST)
+        for barrier in self.barriers:
+            near = barrier.near(self._evaluation.data, self._travel, dt)
+            if near.ids.size:
+                self.blocks.append(Block(barrier, near, slice(self.count, 0)))
+                slope = near.slope[:, dofs]
+                lower = self._lower(barrier, near, slope, (low, high), dt)
+                self._add(parts, slope, lower, np.full(lower.size, np.inf))
+                self.blocks[-1].rows = slice(self.count - lower.size, self.count)
+        for rows, upper in self._mink_rows(dt):
+            self._add(parts, rows, np.full(upper.size, -np.inf), upper)
+        if parts:
+            self.matrix = np.concatenate([part[0] for part in parts])
+            self.lower = np.concatenate([part[1] for part in parts])
+            self.upper = np.concatenate([part[2] for part in parts])
+
+    def _add(
+        self, parts: list[tuple[Array, Array, Array]], rows: Array, lower: Array, upper: Array
+    ) -> None:
+        parts.append((rows, lower, upper))
+        self.count += upper.size
+
+    def _lower(
+        self,
+        barrier: Barrier,
+        near: Near,
+        slope: Array,
+        box: tuple[Array, Array],
+        dt: float,
+    ) -> Array:
+        """Return what slope·v must at least be (k,)."""
+        distance = near.distance
+        rate = barrier.gain / dt * distance
+        if self._stops:
+            rate = np.minimum(rate, self._stopping(distance, slope, dt))
+        lower = np.minimum(-rate, barrier.push) - near.drift
+        # No row that only holds an approach back asks for more than the brake can do.
+        braked = slope @ np.clip(0.0, *box)
+        np.minimum(lower, braked - ROUNDING * np.abs(braked), out=lower, where=lower <= 0.0)
+        fastest = np.maximum(slope * box[0], slope * box[1]).sum(axis=1)
+        fastest -= ROUNDING * np.abs(fastest)
+        beyond = lower > fastest
+        lower[beyond] = fastest[beyond]
+        self.passed |= bool(distance.min() < -PASSED)
+        return lower
+
+    def _stopping(self, distance: Array, slope: Array, dt: float) -> Array:
+        """Return the speeds (k,) from which each distance can still be stopped at 0.
+
+        With joint rates in proportion to the slope c, all joints at their a_max take
+        s² Σ |c|³/a / (2 (c·c)²) from a speed s, so that a = (c·c)² / Σ |c|³/a.
+        """
+        steep = np.abs(slope)
+        square = (steep * steep).sum(axis=1)
+        weight = (steep**3) @ self._inverse_acceleration
+        a = STOPPING * np.divide(
+            square * square, weight, out=np.full(square.size, math.inf), where=weight > 0.0
+        )
+        finite = np.where(np.isfinite(a), a, 0.0)
+        room = 2.0 * finite * np.maximum(distance, 0.0)
+        root = np.sqrt((finite * dt) ** 2 + room) + finite * dt
+        speed = np.divide(room, root, out=np.zeros_like(root), where=root > 0.0)
+        return np.where(np.isfinite(a) & (distance >= 0.0), speed, np.inf)
+
+    def _mink_rows(self, dt: float) -> list[tuple[Array, Array]]:
+        """Return the rows C v ≤ hi of mink's limits, which say G Δq ≤ h."""
+        found = []
+        for limit in self._problem.mink_limits:
+            constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
+            if constraint.G is not None and constraint.h is not None:
+                found.append((constraint.G[:, self._problem.dofs], constraint.h / dt))
+        return found
+
+    def kept(self) -> "KeptRows":
+        """Return what the present rows are of, for later."""
+        return KeptRows([speed for speed, _ in self._speeds], self.blocks, self.lower, self.upper)
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRows:
+    """What the rows of a step are of, and where they stand."""
+
+    speeds: list[SpeedRows]
+    blocks: list[Block]
+    lower: Array
+    upper: Array
+
+    def described(self, row: int) -> tuple[str, str, float, float]:
+        """Return the kind of limit that a row belongs to, what it is of, its lo and its hi."""
+        return *self._named(row), float(self.lower[row]), float(self.upper[row])
+
+    def _named(self, row: int) -> tuple[str, str]:
+        first = 0
+        for speed in self.speeds:
+            if row < first + speed.count:
+                return "speed", speed.limit.task
+            first += speed.count
+        for block in self.blocks:
+            if block.rows.start <= row < block.rows.stop:
+                identity = int(block.near.ids[row - block.rows.start])
+                return block.barrier.kind, block.barrier.name(identity)
+        return "mink", f"row {row - first}"

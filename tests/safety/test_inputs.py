@@ -1,0 +1,364 @@
+"""What comes in wrong is refused and leaves no trace; what is only unusual is taken as meant."""
+
+from collections.abc import Iterator
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from matrix import ACCELERATION, DT, LIMITS, ROUNDING, each_backend, each_robot, with_backend
+from numpy.typing import NDArray
+from obstacles import AWAY, BALL, beside_a_ball
+
+import rmrc
+from rmrc import Status
+
+Array = NDArray[np.float64]
+
+# A number that is not the same bit for bit where it came through another type or norm.
+SAME = 1e-12
+# A shift of the hand's target that takes many steps to follow, m.
+SHIFT = (0.05, -0.04, 0.06)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("scenes")
+
+
+@cache
+def compiled(robot: str, folder: Path, accelerates: bool) -> rmrc.Problem:
+    """Return a problem that reads all there is to read, at once or with acceleration limits."""
+    limits = LIMITS if accelerates else {**LIMITS, "acceleration": "off"}
+    made = beside_a_ball(robot, folder).config(
+        limits=limits, previous="measured", timeout={"target": 1.0, "measurement": 1.0}
+    )
+    return rmrc.compile(made)
+
+
+@pytest.fixture
+def free(robot: str, backend: str, folder: Path) -> rmrc.Problem:
+    """The problem without acceleration limits."""
+    return with_backend(compiled(robot, folder, False), backend)
+
+
+@pytest.fixture
+def slow(robot: str, backend: str, folder: Path) -> rmrc.Problem:
+    """The problem with acceleration limits."""
+    return with_backend(compiled(robot, folder, True), backend)
+
+
+class Object:
+    """An array of another library, which gives no numbers."""
+
+    def __array__(self, *_: object, **__: object) -> Array:
+        raise RuntimeError("on another device")
+
+
+def wrong(good: Array) -> Iterator[Any]:
+    """Yield what is not such an array of real, finite numbers of a sensible size."""
+    for value in (np.nan, np.inf, -np.inf, 1e200, -1e13):
+        for k in (0, good.size - 1):
+            bad = good.copy()
+            bad[k] = value
+            yield bad
+            yield bad.tolist()
+    yield good[:-1]
+    yield np.append(good, 0.0)
+    yield good[:, None]
+    yield good[None]
+    yield np.zeros(0)
+    yield 0.5
+    yield "straight"
+    yield bytes(good.size)
+    yield [str(number) for number in good]
+    yield [*good[:-1], None]
+    yield [*good[:-1], [0.0]]
+    yield [10**400] * good.size
+    yield [Fraction(1, 3)] * good.size
+    yield good.astype(object)
+    yield good + 0j
+    yield good.astype(bool)
+    yield good.astype(str)
+    yield good.astype("datetime64[s]")
+    yield np.full(good.size, np.longdouble("1e4000"))
+    yield dict.fromkeys(good, 1.0)
+    yield set(good)
+    yield (number for number in good)
+    yield Object()
+
+
+def same(good: Array) -> Iterator[Any]:
+    """Yield the same numbers in other clothes."""
+    yield good.tolist()
+    yield tuple(good)
+    yield np.repeat(good, 3)[::3]
+    yield good[::-1].copy()[::-1]
+    yield np.asfortranarray(np.tile(good, (2, 1)))[1]
+    yield np.tile(good[:, None], (1, 2))[:, 0]
+    yield good.astype(">f8")
+    yield good.astype(np.longdouble)
+    yield np.frombuffer(b"x" + good.tobytes(), dtype=float, offset=1)  # not aligned
+    frozen = good.copy()
+    frozen.flags.writeable = False
+    yield frozen
+
+
+def shortened(good: Array) -> Iterator[Any]:
+    """Yield numbers of types that not all floats fit into."""
+    for kind in (np.float32, np.float16, np.int64, np.int8):
+        yield good.astype(kind)
+    yield good.round().astype(int).tolist()
+
+
+class Twins:
+    """Two controllers of one problem that get the same, but for what the test gives to one."""
+
+    def __init__(self, problem: rmrc.Problem):
+        self.problem = problem
+        self.tried, self.twin = rmrc.Controller(problem), rmrc.Controller(problem)
+        self.target = problem.term["hand"].target[4:] + SHIFT
+        self.quaternion = problem.term["hand"].target[:4].copy()
+        for each in (self.tried, self.twin):
+            assert each.set_target("hand", self.target, self.quaternion)
+            assert each.set_obstacle(BALL, AWAY)
+        self.step(5)
+
+    def step(self, count: int = 1) -> None:
+        """Take good steps, and hold them to be the same."""
+        for _ in range(count):
+            first, second = self.tried.step(), self.twin.step()
+            assert first.flags == second.flags
+            assert Status.INVALID_INPUT not in first.flags
+            np.testing.assert_array_equal(first.v, second.v)
+            np.testing.assert_array_equal(first.q, second.q)
+
+    def refuse(self, **given: Any) -> None:
+        """Step with what is wrong: nothing moves, and the next steps are as if it had not been."""
+        before, targets = self.tried.q, self.targets()
+        step = self.tried.step(**given)
+        assert step.flags == {Status.INVALID_INPUT}, given
+        assert not step.v.any()
+        np.testing.assert_array_equal(step.q, before)
+        np.testing.assert_array_equal(self.tried.q, before)
+        for old, new in zip(targets, self.targets(), strict=True):
+            np.testing.assert_array_equal(old, new)
+        self.step()
+
+    def targets(self) -> list[Array]:
+        """Return copies of the targets and of the obstacles."""
+        evaluation = self.tried.engine.evaluation
+        return [evaluation.targets.copy(), evaluation.twists.copy(), *evaluation.obstacles()]
+
+    def refuse_target(self, name: str, **given: Any) -> None:
+        """Set a target that is wrong: it is not taken, the next step says so, and no more."""
+        targets = self.targets()
+        assert self.tried.set_target(name, **given) is False, given
+        self.hold(targets)
+
+    def refuse_obstacle(self, **given: Any) -> None:
+        targets = self.targets()
+        assert self.tried.set_obstacle(BALL, **given) is False, given
+        self.hold(targets)
+
+    def hold(self, targets: list[Array]) -> None:
+        for old, new in zip(targets, self.targets(), strict=True):
+            np.testing.assert_array_equal(old, new)
+        first, second = self.tried.step(), self.twin.step()
+        assert Status.INVALID_INPUT in first.flags
+        assert first.flags - {Status.INVALID_INPUT, Status.OK} == second.flags - {Status.OK}
+        np.testing.assert_array_equal(first.v, second.v)
+        self.step()
+
+
+@each_backend
+@each_robot
+def test_a_wrong_q_stops_and_leaves_no_trace(free: rmrc.Problem) -> None:
+    twins = Twins(free)
+    for bad in wrong(twins.tried.q):
+        twins.refuse(q=bad)
+
+
+@each_backend
+@each_robot
+def test_a_wrong_v_stops_and_leaves_no_trace(free: rmrc.Problem) -> None:
+    twins = Twins(free)
+    for bad in wrong(np.linspace(-0.1, 0.1, free.model.nv)):
+        twins.refuse(q=twins.tried.q, v=bad)
+
+
+NO_TIMES = [np.nan, np.inf, -np.inf, -DT, 10**400, "0.002", "now", 1j, [DT], [DT, DT], object()]
+
+
+@each_backend
+@each_robot
+def test_a_wrong_dt_stops_and_leaves_no_trace(free: rmrc.Problem) -> None:
+    twins = Twins(free)
+    for bad in [*NO_TIMES, 0.0, 1e-300, 1e300]:
+        twins.refuse(dt=bad)
+
+
+@each_backend
+@each_robot
+def test_a_wrong_age_is_of_no_measurement(free: rmrc.Problem) -> None:
+    twins = Twins(free)
+    for bad in [*NO_TIMES, None]:
+        step = twins.tried.step(twins.tried.q, age=bad)
+        assert step.status in (Status.STALE, Status.INVALID_INPUT), bad
+        assert not step.v.any()
+        assert twins.tried.step(twins.tried.q).status < Status.STALE
+
+
+@each_backend
+@each_robot
+def test_a_wrong_target_is_refused_and_leaves_no_trace(free: rmrc.Problem) -> None:
+    twins = Twins(free)
+    for bad in wrong(twins.target):
+        twins.refuse_target("hand", position=bad)
+        twins.refuse_target("hand", position=bad, quaternion=[1.0, 0.0, 0.0, 0.0])
+    for bad in [*wrong(twins.quaternion), np.zeros(4), [1e-20, 0.0, 0.0, 0.0]]:
+        twins.refuse_target("hand", quaternion=bad)
+        twins.refuse_target("hand", position=twins.target + 0.1, quaternion=bad)
+    for bad in wrong(np.linspace(-0.1, 0.1, 6)):
+        twins.refuse_target("hand", position=twins.target + 0.1, velocity=bad)
+    for bad in wrong(twins.tried.q):
+        twins.refuse_target("posture", q=bad)
+    twins.refuse_target("posture")
+    twins.refuse_target("hand", direction=[0.0, 0.0, 1.0])
+    twins.refuse_target("hand", position=twins.target, q=twins.tried.q)
+
+
+@each_backend
+@each_robot
+def test_a_wrong_obstacle_is_refused_and_leaves_no_trace(free: rmrc.Problem) -> None:
+    twins = Twins(free)
+    for bad in wrong(np.array(AWAY)):
+        twins.refuse_obstacle(position=bad)
+    for bad in [*wrong(twins.quaternion), np.zeros(4), [1e-20, 0.0, 0.0, 0.0]]:
+        twins.refuse_obstacle(position=[1.0, 2.0, 3.0], quaternion=bad)
+    for bad in wrong(np.linspace(-0.1, 0.1, 6)):
+        twins.refuse_obstacle(position=[1.0, 2.0, 3.0], velocity=bad)
+
+
+@each_backend
+@each_robot
+def test_wrong_input_brakes_at_the_acceleration_limit(slow: rmrc.Problem) -> None:
+    controller = rmrc.Controller(slow)
+    controller.set_target("hand", slow.term["hand"].target[4:] + 5.0 * np.array(SHIFT))
+    step = controller.step()
+    for _ in range(20):
+        step = controller.step()
+    change, fastest = np.full(slow.model.nv, np.inf), float(np.abs(step.v).max())
+    change[slow.dofs] = slow.box.acceleration * DT
+    assert fastest > 5.0 * ACCELERATION * DT
+    bad = wrong(controller.q)
+    while step.v.any():
+        before, q = step.v, controller.q
+        step = controller.step(next(bad))
+        assert step.flags == {Status.INVALID_INPUT}
+        braked = before - np.clip(before, -change, change)
+        np.testing.assert_allclose(step.v, braked, rtol=0.0, atol=ROUNDING)
+        moved = np.empty(slow.model.nv)
+        mujoco.mj_differentiatePos(slow.model, moved, DT, q, step.q)
+        np.testing.assert_allclose(moved, step.v, rtol=0.0, atol=1e-6)
+    assert Status.INVALID_INPUT not in controller.step().flags
+
+
+def outcome(problem: rmrc.Problem, **given: Any) -> Array:
+    """Return v of the second of two steps with other inputs than those of the problem's start."""
+    controller = rmrc.Controller(problem)
+    q, target = problem.start, problem.term["hand"].target
+    inputs = {
+        "q": q,
+        "v": np.linspace(-0.01, 0.01, problem.model.nv),
+        "position": target[4:] + SHIFT,
+        "quaternion": target[:4],
+        "velocity": np.linspace(-0.1, 0.1, 6),
+        "posture": q,
+        "ball": np.array(AWAY),
+        **given,
+    }
+    assert controller.set_target(
+        "hand", inputs["position"], inputs["quaternion"], inputs["velocity"]
+    )
+    assert controller.set_target("posture", q=inputs["posture"])
+    assert controller.set_obstacle(BALL, inputs["ball"], inputs["quaternion"], inputs["velocity"])
+    controller.step(inputs["q"], v=inputs["v"])
+    step = controller.step(inputs["q"], v=inputs["v"])
+    assert step.status < Status.MAX_ITER
+    return step.v
+
+
+@each_backend
+@each_robot
+def test_the_same_numbers_of_other_types_and_strides_give_the_same_step(
+    slow: rmrc.Problem,
+) -> None:
+    target = slow.term["hand"].target
+    given = {
+        "q": slow.start,
+        "v": np.linspace(-0.01, 0.01, slow.model.nv),
+        "position": target[4:] + SHIFT,
+        "quaternion": target[:4],
+        "velocity": np.linspace(-0.1, 0.1, 6),
+        "posture": slow.start,
+        "ball": np.array(AWAY),
+    }
+    expected = outcome(slow)
+    for name, value in given.items():
+        for other in same(value):
+            np.testing.assert_array_equal(outcome(slow, **{name: other}), expected, name)
+
+
+@each_backend
+@each_robot
+def test_shorter_types_are_taken_for_the_numbers_they_hold(slow: rmrc.Problem) -> None:
+    target = slow.term["hand"].target[4:] + SHIFT
+    for short in shortened(target):
+        expected = outcome(slow, position=np.asarray(short).astype(float))
+        np.testing.assert_array_equal(outcome(slow, position=short), expected)
+    for kind in (np.float32, np.float16):
+        expected = outcome(slow, q=slow.start.astype(kind).astype(float))
+        np.testing.assert_array_equal(outcome(slow, q=slow.start.astype(kind)), expected)
+
+
+@each_backend
+@each_robot
+@pytest.mark.parametrize("norm", [2.0, 1e-9, 1e9, -1.0])
+def test_a_quaternion_of_any_norm_is_the_same_target(slow: rmrc.Problem, norm: float) -> None:
+    target = slow.term["hand"].target[:4]
+    scaled = outcome(slow, quaternion=norm * target)
+    np.testing.assert_allclose(scaled, outcome(slow), rtol=0.0, atol=1e3 * SAME)
+
+
+@each_backend
+@pytest.mark.parametrize("robot", ["biped", "g1"])
+def test_a_floating_base_turns_by_a_quaternion_of_any_norm(slow: rmrc.Problem) -> None:
+    q = slow.start.copy()
+    for norm, valid in ((2.0, True), (0.0, False), (1e-20, False)):
+        q[3:7] = norm * slow.start[3:7]
+        step = rmrc.Controller(slow).step(q)
+        assert (Status.INVALID_INPUT not in step.flags) is valid
+        assert abs(float(np.linalg.norm(step.q[3:7])) - 1.0) < SAME
+
+
+@each_backend
+@each_robot
+def test_what_is_given_is_not_written_to_or_kept(free: rmrc.Problem) -> None:
+    controller = rmrc.Controller(free)
+    target, q = free.term["hand"].target[4:] + SHIFT, free.start.copy()
+    ball = np.array(AWAY)
+    controller.set_target("hand", target)
+    controller.set_target("posture", q=q)
+    controller.set_obstacle(BALL, ball)
+    first = controller.step(q)
+    np.testing.assert_array_equal(q, free.start)
+    first.q[:], first.v[:] = np.nan, np.nan
+    for array in (target, q, ball):
+        array[:] = np.nan
+    second = controller.step()
+    assert second.status < Status.MAX_ITER
+    assert np.isfinite(second.q).all()

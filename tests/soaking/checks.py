@@ -1,0 +1,288 @@
+"""What a step promises, checked from the problem's numbers by code that no engine shares."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import rmrc
+from rmrc.control.step import Status, Step
+from rmrc.problem.limits.collision import CollisionPairs
+from rmrc.problem.limits.workspace import WorkspacePlanes
+from rmrc.problem.problem import Problem
+from rmrc.qp.program import QP, Solution, SolveStatus
+
+Array = NDArray[np.float64]
+
+EXACT = 1e-9
+"""Largest violation of a joint limit: in rad, rad/s or rad/s times dt, or m."""
+MEASURED = 1e-6
+"""Largest violation of a row: solvers, and measurements of distances, are no finer."""
+DEEP = 0.02
+"""Share of the depth by which the depth of an overlap is known."""
+ROUNDING = 4.0 * np.finfo(float).eps
+"""Share of a number by which sums of it may be off."""
+AT_REST = 1e-12
+"""rad/s and rad/s² up to which a joint stands still."""
+
+TOLERANCE = {
+    "finite": 0.0,
+    "still": 0.0,
+    "brake": EXACT,
+    "velocity": EXACT,
+    "acceleration": EXACT,
+    "jerk": EXACT,
+    "position": EXACT,
+    "return": EXACT,
+    "speed": MEASURED,
+    "workspace": MEASURED,
+    "distance": MEASURED,
+    "certificate": MEASURED,
+    "residual": MEASURED,
+    "reported": 0.0,
+}
+"""What is checked of a step, and the largest violation that passes."""
+
+
+@dataclass
+class Moment:
+    """What a step starts from."""
+
+    q: Array
+    """Configuration (nq,), as the controller takes it."""
+    v: Array
+    """Velocity (nv,) that accelerations count from."""
+    a: Array
+    """Acceleration (nv,) that jerks count from."""
+    dt: float
+    twist: Array
+    """Velocities of the mocap bodies (nmocap, 6)."""
+    braking: bool
+    """Whether what came in leaves nothing but to brake."""
+    invalid: bool
+    """Whether something that came in is not valid."""
+
+
+class Checker:
+    """Measures by how much steps of one problem pass their limits."""
+
+    def __init__(self, problem: Problem):
+        self._problem, self._model = problem, problem.model
+        self._data = mujoco.MjData(problem.model)
+        self._calm = np.zeros(problem.dofs.size, dtype=bool)
+        """The joints that have stood still inside their range since the last disturbance."""
+        pairs = [limit for limit in problem.barriers if isinstance(limit, CollisionPairs)]
+        self._pairs = pairs[0].geoms if pairs else np.zeros((0, 2), dtype=np.intp)
+        self._d_min = pairs[0].d_min if pairs else 0.0
+        radius = problem.model.geom_rbound[self._pairs]
+        # A plane has no bounding sphere, and is always near.
+        self._near = np.where((radius > 0.0).all(axis=1), radius.sum(axis=1), np.inf)
+        self._planes = [
+            plane
+            for limit in problem.barriers
+            if isinstance(limit, WorkspacePlanes)
+            for plane in limit.planes
+        ]
+        self._certified = not problem.strict and not any(term.preserve for term in problem.terms)
+
+    def disturb(self) -> None:
+        """Note that the joints are not where, or as fast as, the last command says."""
+        self._calm[:] = False
+
+    def check(self, moment: Moment, step: Step, controller: rmrc.Controller) -> dict[str, float]:
+        """Return by how much a step passes each limit; 0 or less where it does not."""
+        finite = all(np.isfinite(part).all() for part in (step.v, step.q, step.solution.v))
+        if not finite:
+            return {"finite": np.inf}
+        found = {"finite": 0.0, **self._joints(moment, step.v), **self._ranges(moment, step)}
+        flags = step.flag_bits
+        reported = flags >> Status.INVALID_INPUT & 1 or flags >> Status.STALE & 1
+        found["reported"] = float(bool(reported) != (moment.invalid or moment.braking))
+        if moment.braking:
+            self._calm[:] = False
+            found["brake"] = self._brake(moment, step.v)
+            return found
+        found |= self._rows(moment, step, controller)
+        found |= self._optimum(step, controller)
+        return found
+
+    def _joints(self, moment: Moment, v: Array) -> dict[str, float]:
+        """Return the violations of what limits the velocity of each joint.
+
+        The order of precedence is acceleration, velocity, position, jerk.
+        """
+        problem, dofs = self._problem, self._problem.dofs
+        box, dt = problem.box, moment.dt
+        others = np.delete(v, dofs)
+        v, before = v[dofs], moment.v[dofs]
+        rounding = ROUNDING * (np.abs(v) + np.abs(before))
+        change = box.acceleration * dt
+        slow = np.maximum(box.velocity, np.abs(before) - change)
+        found = {
+            "still": float(np.abs(others).max(initial=0.0)),
+            "acceleration": float((np.abs(v - before) - change - rounding).max()),
+            "velocity": float((np.abs(v) - slow - rounding).max()),
+        }
+        jerked = self._calm & np.isfinite(box.jerk)
+        if jerked.any() and not moment.braking:
+            beyond = np.abs(v - before - moment.a[dofs] * dt) - box.jerk * dt * dt - rounding
+            found["jerk"] = float(beyond[jerked].max())
+        return found
+
+    def _ranges(self, moment: Moment, step: Step) -> dict[str, float]:
+        """Return the violations of the ranges, and of a monotonic way back into them."""
+        box = self._problem.box
+        before, after = moment.q[box.coordinate], step.q[box.coordinate]
+        v = moment.v[self._problem.dofs]
+        found = {"position": -np.inf, "return": -np.inf}
+        inside = np.ones(v.size, dtype=bool)
+        for sign, end in ((1.0, box.upper), (-1.0, box.lower)):
+            outward = np.maximum(sign * v, 0.0)
+            room, beyond = sign * (end - before), sign * (after - end)
+            beyond -= ROUNDING * np.abs(after)
+            inside &= room >= 0.0
+            stops = (room >= 0.0) & (outward**2 / (2.0 * box.acceleration) <= room + AT_REST)
+            returns = (room < 0.0) & (outward <= box.acceleration * moment.dt)
+            found["position"] = max(found["position"], float(beyond[stops].max(initial=-np.inf)))
+            growth = beyond[returns] + room[returns]
+            found["return"] = max(found["return"], float(growth.max(initial=-np.inf)))
+        still = np.maximum(np.abs(v), np.abs(moment.a[self._problem.dofs])) <= AT_REST
+        self._calm |= still & inside
+        return found
+
+    def _brake(self, moment: Moment, v: Array) -> float:
+        """Return how far a command is from what braking at the acceleration limit leaves."""
+        dofs = self._problem.dofs
+        left = np.abs(moment.v[dofs]) - self._problem.box.acceleration * moment.dt
+        expected = np.sign(moment.v[dofs]) * np.maximum(left, 0.0)
+        return float(np.abs(v[dofs] - expected).max())
+
+    def _rows(self, moment: Moment, step: Step, controller: rmrc.Controller) -> dict[str, float]:
+        """Return the violations of frame speeds, planes and distances."""
+        problem, data, flags = self._problem, self._data, step.flag_bits
+        if flags >> Status.RELAXED & 1 or not (problem.speeds or problem.barriers):
+            return {}
+        obstacles = controller.engine.evaluation.data
+        self._move_to(moment.q, obstacles.mocap_pos, obstacles.mocap_quat)
+        found = {}
+        if not flags >> Status.MAX_ITER & 1:
+            found["speed"] = self._speed(step.v)
+        heights = self._heights()
+        pairs, distances = self._distances()
+        quaternions = obstacles.mocap_quat.copy()
+        for quaternion, twist in zip(quaternions, moment.twist, strict=True):
+            turn = np.empty(4)
+            angle = float(np.linalg.norm(twist[3:]))
+            mujoco.mju_axisAngle2Quat(turn, twist[3:] / (angle or 1.0), angle * moment.dt)
+            mujoco.mju_mulQuat(quaternion, turn, quaternion.copy())
+        self._move_to(step.q, obstacles.mocap_pos + moment.twist[:, :3] * moment.dt, quaternions)
+        fallen = np.minimum(heights, 0.0) - self._heights()
+        found["workspace"] = float(fallen.max(initial=-np.inf))
+        reached, after = self._distances()
+        earlier = {(a, b): d for (a, b), d in zip(pairs.tolist(), distances, strict=True)}
+        worst = -np.inf
+        for (a, b), d in zip(reached.tolist(), after, strict=True):
+            before = min(earlier.get((a, b), np.inf), self._d_min)
+            worst = max(worst, before - d - DEEP * max(-before, 0.0))
+        found["distance"] = worst
+        return found
+
+    def _move_to(self, q: Array, position: Array, quaternion: Array) -> None:
+        data = self._data
+        data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = q, position, quaternion
+        mujoco.mj_kinematics(self._model, data)
+        if self._problem.speeds:
+            mujoco.mj_comPos(self._model, data)
+
+    def _speed(self, v: Array) -> float:
+        """Return by how much frames are faster than they may be at the present configuration."""
+        jacobian, worst = np.zeros((6, self._model.nv)), -np.inf
+        for limit in self._problem.speeds:
+            of = mujoco.mj_jacSite if limit.frame.kind == "site" else mujoco.mj_jacBody
+            of(self._model, self._data, jacobian[:3], jacobian[3:], limit.frame.id)
+            linear, angular = np.linalg.norm((jacobian @ v).reshape(2, 3), axis=1)
+            worst = max(worst, linear - limit.linear, angular - limit.angular)
+        return float(worst)
+
+    def _heights(self) -> Array:
+        """Return how far the frames are in front of their planes."""
+        positions = {"site": self._data.site_xpos, "body": self._data.xpos}
+        return np.array(
+            [
+                plane.normal @ positions[plane.frame.kind][plane.frame.id] - plane.offset
+                for plane in self._planes
+            ]
+        )
+
+    def _distances(self) -> tuple[Array, Array]:
+        """Return the pairs (k, 2) that may be nearer than d_min, and their distances (k,)."""
+        if not self._pairs.size:
+            return self._pairs, np.zeros(0)
+        centres = self._data.geom_xpos[self._pairs]
+        apart = np.linalg.norm(centres[:, 1] - centres[:, 0], axis=1)
+        pairs = self._pairs[apart - self._near <= self._d_min]
+        return pairs, np.array([self._distance(a, b) for a, b in pairs.tolist()])
+
+    def _distance(self, a: int, b: int) -> float:
+        kinds = (int(self._model.geom_type[a]), int(self._model.geom_type[b]))
+        if kinds == (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX):
+            return self._capsule_to_box(a, b)
+        return mujoco.mj_geomDistance(self._model, self._data, a, b, 2.0 * self._d_min + 0.1, None)
+
+    def _capsule_to_box(self, capsule: int, box: int) -> float:
+        """Return the least distance of the capsule's axis from the box, less the radius.
+
+        A convex function along the axis, found by narrowing: MuJoCo's own answer is wrong where the
+        axis passes through the box, and this one no more than the depth of the axis there.
+        """
+        model, data = self._model, self._data
+        radius, half = model.geom_size[capsule, :2]
+        turn = data.geom_xmat[box].reshape(3, 3)
+        centre = turn.T @ (data.geom_xpos[capsule] - data.geom_xpos[box])
+        along = turn.T @ data.geom_xmat[capsule].reshape(3, 3)[:, 2]
+        low, high, least = -half, half, np.inf
+        for _ in range(6):
+            t = np.linspace(low, high, 33)
+            outside = np.abs(centre + t[:, None] * along) - model.geom_size[box]
+            d = np.linalg.norm(np.maximum(outside, 0.0), axis=1) + np.minimum(outside.max(1), 0.0)
+            k = int(np.argmin(d))
+            least, low, high = float(d[k]), t[max(k - 1, 0)], t[min(k + 1, 32)]
+        return least - float(radius)
+
+    def _optimum(self, step: Step, controller: rmrc.Controller) -> dict[str, float]:
+        """Return the residuals beyond what a trusted solution may have, unless it says so."""
+        if step.flag_bits >> Status.MAX_ITER & 1 or step.flag_bits >> Status.DEADLINE & 1:
+            return {}
+        solution, qp = step.solution, controller.engine.assembly.qp
+        unit = max(1.0, float(np.linalg.norm(qp.g)))
+        primal, dual, complementarity = solution.kkt
+        found = {"certificate": max(primal, dual / unit, complementarity / unit)}
+        if solution.status is not SolveStatus.SOLVED:
+            found["certificate"] = np.inf
+        shortened = step.moment.share < 1.0
+        relaxed = step.flag_bits >> Status.RELAXED & 1
+        if self._certified and not shortened and not relaxed:
+            found["residual"] = _residual(qp, solution, unit)
+        return found
+
+
+def _residual(qp: QP, solution: Solution, unit: float) -> float:
+    """Return the largest residual of the optimality conditions of a program at a solution."""
+    v, z, y, w = (
+        solution.v,
+        solution.bound_multiplier,
+        solution.row_multiplier,
+        solution.equality_multiplier,
+    )
+    ends = ((v, qp.lb, qp.ub, z), (qp.C @ v, qp.lo, qp.hi, y))
+    primal = float(np.abs(qp.E @ v - qp.f).max(initial=0.0))
+    dual = float(np.linalg.norm(qp.H @ v + qp.g + z + qp.C.T @ y + qp.E.T @ w))
+    slackness = 0.0
+    for x, lower, upper, multiplier in ends:
+        primal = max(primal, float(np.maximum(lower - x, x - upper).max(initial=0.0)))
+        room = np.maximum(np.where(multiplier > 0.0, upper - x, x - lower), 0.0)
+        limited = (multiplier != 0.0) & np.isfinite(room)
+        slackness += float(np.abs(multiplier[limited]) @ room[limited])
+        dual = max(dual, float(np.abs(multiplier[~np.isfinite(room)]).max(initial=0.0)))
+    return max(primal, dual / unit, slackness / unit)
