@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "bindings.hpp"
 #include "qp.hpp"
 
 namespace nb = nanobind;
@@ -96,4 +97,5 @@ NB_MODULE(_native, m) {
            "The program is that of `rmrc.qp.program.QP`, the multipliers those of `Solution`.\n"
            "Raises ValueError where shapes do not fit.")
       .def("forget", &rmrc::QPSolver::forget, "Start the next solve cold.");
+  rmrc::bind_engine(m);
 }

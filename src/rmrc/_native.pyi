@@ -1,3 +1,8 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
 from rmrc.qp.program import Array
 
 class QPSolver:
@@ -18,4 +23,84 @@ class QPSolver:
         E: Array,
         f: Array,
     ) -> tuple[Array, Array, Array, Array, int, str]: ...
+    def forget(self) -> None: ...
+
+class TermRows:
+    """What all terms of an engine have."""
+
+    def __init__(
+        self,
+        first: int,
+        count: int,
+        gain: float,
+        root: list[float],
+        target: Array,
+        twist: Array,
+        moving: NDArray[np.uint8],
+        clamps: list[tuple[int, int, float]] = ...,
+    ) -> None: ...
+
+class Frame:
+    """Where the pose of a frame stands, and what moves it."""
+
+    def __init__(
+        self, position: Array, rotation: Array, robot_com: Array, dofs: list[int]
+    ) -> None: ...
+
+class Engine:
+    """The whole step, in the arrays that it is given."""
+
+    def __init__(
+        self,
+        *,
+        functions: Sequence[int],
+        model: int,
+        data: int,
+        qpos: Array,
+        cdof: Array,
+        error: Array,
+        feedforward: Array,
+        rate: Array,
+        jacobian: Array,
+        v_previous: Array,
+        a_previous: Array,
+        dofs: list[int],
+        hessian: list[float],
+        unit: float,
+        inertia: float,
+        floor: float,
+        limits: tuple[
+            list[int], list[float], list[float], float, list[float], list[float], list[float]
+        ],
+        H: Array,
+        g: Array,
+        lb: Array,
+        ub: Array,
+        max_iter: int,
+    ) -> None: ...
+    def add_frame(self, rows: TermRows, frame: Frame, world: bool) -> None: ...
+    def add_relative(self, rows: TermRows, frame: Frame, root: Frame) -> None: ...
+    def add_axis(self, rows: TermRows, frame: Frame, axis: list[float], at_point: bool) -> None: ...
+    def add_com(
+        self,
+        rows: TermRows,
+        moved: list[tuple[int, float, Array, Array]],
+        parts: list[tuple[float, Array]],
+    ) -> None: ...
+    def add_coupling(
+        self, rows: TermRows, by_coordinate: list[float], by_dof: list[float], offset: float
+    ) -> None: ...
+    def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
+    def adapt(
+        self,
+        rule: str,
+        threshold: float,
+        largest: float,
+        rank: int,
+        scale: float,
+        rows: list[tuple[int, int]],
+    ) -> None: ...
+    def solve(
+        self, q: Array, dt: float, seconds: float, solution: Array
+    ) -> tuple[str, int, float, float, float, bool, bool]: ...
     def forget(self) -> None: ...

@@ -107,7 +107,7 @@ def test_feed_forward_is_the_errors_derivative_by_the_moving_target(
             if term.target_kind == "direction":
                 twists[term.name][:3] = 0.0
             evaluation.twist[term.name][:] = twists[term.name]
-            evaluation.moving.add(term.name)
+            evaluation.moving[evaluation.index[term.name]] = 1
     error_at(evaluation, q)
     feedforward = evaluation.feedforward.copy()
     targets = {name: target.copy() for name, target in evaluation.target.items()}

@@ -144,6 +144,9 @@ class Config(Model):
     """What carries the command out: plain integration, or joint controllers in the physics."""
     actuation: ActuationModel = ActuationModel()
     """The joint controllers and the measurement; only `execute: actuated` reads it."""
+    engine: Literal["auto", "python", "native"] = "auto"
+    """What evaluates and solves a step: `native`, in C++, has no place for every task and limit;
+    `auto` takes it where it has."""
     solver: SolverModel = SolverModel()
     """The QP backend."""
     damping: DampingModel = DampingModel()

@@ -27,7 +27,7 @@ def check(config: Config) -> list[str]:
         for term in problem.terms
     )
     lines = [f"{problem.dofs.size} of {problem.model.nv} dofs move; tasks: {tasks}"]
-    Controller(problem)  # a method that cannot run on this problem says so
+    lines += Controller(problem).notices  # what cannot run on this problem at all says so
     lines += shortcomings(problem)
     lines += build_execution(problem).notices
     return [*lines, *_at_limits(problem), *unfinished(aims, config), *problem.notices]

@@ -2,15 +2,14 @@
 
 import math
 from time import perf_counter
-from typing import Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rmrc.control.engine import PythonEngine
+from rmrc.control.engines import Choice, build_engine
 from rmrc.control.inputs import Configurations, Targets
-from rmrc.control.methods import UNCERTIFIED, ClosedFormEngine
+from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
 from rmrc.control.step import ACTIVE_MULTIPLIER, Errors, Moment, Status, Step
 from rmrc.errors import ModelError, unknown_name
@@ -45,12 +44,9 @@ class Controller:
     `Status`. Only a name that does not exist raises.
     """
 
-    def __init__(self, problem: Problem, engine: Literal["auto", "python"] = "auto"):
-        if engine not in ("auto", "python"):
-            raise ModelError(unknown_name("engine", engine, ("auto", "python")))
+    def __init__(self, problem: Problem, engine: Choice = "auto"):
         self.problem = problem
-        closed_form = problem.config.method != "qp"
-        self.engine = ClosedFormEngine(problem) if closed_form else PythonEngine(problem)
+        self.engine, self.notices = build_engine(problem, engine)
         model = problem.model
         self._model, self._evaluation = model, self.engine.evaluation
         self._all = problem.dofs.size == model.nv

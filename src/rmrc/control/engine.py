@@ -48,6 +48,8 @@ class PythonEngine:
 
     def __init__(self, problem: Problem):
         self.problem = problem
+        self.backend = problem.config.solver.backend
+        """What solves the programs."""
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
         self.rows = Rows(problem, self.evaluation)

@@ -140,7 +140,7 @@ class Targets:
         if twist is None or not sane(twist):
             return False
         evaluation.twist[name][part] = twist
-        evaluation.moving.add(name)
+        evaluation.moving[evaluation.index[name]] = 1
         return True
 
     def _take_point(self, name: str, position: Any, velocity: Any) -> bool:

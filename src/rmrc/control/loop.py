@@ -52,7 +52,7 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     follower = FOLLOWERS[problem.config.follow](controller, aims)
     execution = build_execution(problem)
     targets = controller.engine.evaluation.target
-    notices = [*execution.notices, *shortcomings(problem)]
+    notices = [*controller.notices, *execution.notices, *shortcomings(problem)]
     log = _Log(problem, controller, unfinished(aims, problem.config), notices)
     try:
         for k in range(log.count):
@@ -160,7 +160,7 @@ class _Log:
             tasks=record["tasks"],
             statuses=STATUSES,
             engine=self.controller.engine.name,
-            backend=config.solver.backend,
+            backend=self.controller.engine.backend,
             method=config.method,
             tolerance={"m": config.tolerance.position, "rad": config.tolerance.orientation},
             converging=converging,

@@ -139,6 +139,7 @@ class ClosedFormEngine:
 
     def __init__(self, problem: Problem):
         self.problem = problem
+        self.backend = problem.config.solver.backend
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
         self.rows = Rows(problem, self.evaluation)

@@ -114,8 +114,8 @@ class Moment:
         evaluation = engine.evaluation
         self._targets = evaluation.targets.copy()
         self._moving = self._obstacles = None
-        if evaluation.moving:
-            self._moving = (set(evaluation.moving), evaluation.twists.copy())
+        if 1 in evaluation.moving:
+            self._moving = (bytes(evaluation.moving), evaluation.twists.copy())
         if evaluation.model.nmocap:
             self._obstacles = evaluation.obstacles()
         self._rows = engine.rows.kept() if engine.rows.count else None
@@ -137,11 +137,10 @@ class Moment:
         """Write the targets and the obstacles of this moment into the engine's evaluation."""
         evaluation = self.engine.evaluation
         evaluation.targets[:] = self._targets
-        evaluation.moving.clear()
+        evaluation.moving[:] = bytes(len(evaluation.moving))
         evaluation.feedforward[:] = 0.0
         if self._moving is not None:
-            evaluation.moving.update(self._moving[0])
-            evaluation.twists[:] = self._moving[1]
+            evaluation.moving[:], evaluation.twists[:] = self._moving
         if self._obstacles is not None:
             evaluation.place(self._obstacles)
 

@@ -59,8 +59,10 @@ class Evaluation:
         self.twists = np.zeros((len(names), 6))
         self.twist = dict(zip(names, self.twists, strict=True))
         """Velocities of the targets (6,), in the axes that their positions are given in."""
-        self.moving: set[str] = set()
-        """The tasks whose target moves, the only ones with a feed-forward."""
+        self.index = {name: k for k, name in enumerate(names)}
+        """The tasks' places in `twists` and `moving`."""
+        self.moving = bytearray(len(names))
+        """1 for each task whose target moves, the only ones with a feed-forward."""
         self._evaluators = [type(group[0]).evaluator(group, self) for group in groups]
 
     def rows_of(self, terms: Sequence[Term]) -> slice:
@@ -109,6 +111,6 @@ class Evaluation:
 
     def stop(self, name: str) -> None:
         """Forget the velocity of a task's target."""
-        if name in self.moving:
-            self.moving.discard(name)
+        if self.moving[self.index[name]]:
+            self.moving[self.index[name]] = 0
             self.feedforward[self._slices[name]] = 0.0

@@ -76,10 +76,11 @@ class Assembly:
         self._minus_joint_weights = -self._joint_weights
         self._joint_rates = self.rate[rows:].reshape(len(joint_terms), problem.model.nv)
         self._joint_matrices = [
-            (k, self._leveled(term)) for k, term in enumerate(joint_terms) if term.weight.ndim == 2
+            (k, self.leveled(term)) for k, term in enumerate(joint_terms) if term.weight.ndim == 2
         ]
-        self._constant = self._constant_hessian()
-        self._damping = Damping(problem, evaluation, self._weigh, self.unit)
+        self.constant = self._constant_hessian()
+        """A + λ₀²I + Σ B of the joint terms (n, n), what no configuration changes."""
+        self.adaptive = Damping(problem, evaluation, self._weigh, self.unit)
         soft = [term for term in evaluation.terms if not term.hard]
         self._leveled_terms = [
             [term for term in soft if term.level == level]
@@ -107,7 +108,7 @@ class Assembly:
         largest = float(max(weights))
         return 1.0 / largest if largest > 0.0 else 1.0
 
-    def _leveled(self, term: Term) -> Array:
+    def leveled(self, term: Term) -> Array:
         """Return B in the program's unit, times `soft_ratio` for each level above the term's.
 
         It is zero for a hard task, which is no cost.
@@ -117,7 +118,7 @@ class Assembly:
         return term.weight * (self.unit * self._problem.soft_ratio**term.level)
 
     def _diagonal(self, term: Term) -> Array:
-        weight = self._leveled(term)
+        weight = self.leveled(term)
         return weight if weight.ndim == 1 else np.zeros(weight.shape[0])
 
     def _row_weights(self) -> tuple[Array, list[tuple[slice, Array]]]:
@@ -127,7 +128,7 @@ class Assembly:
         for term in self._evaluation.terms:
             if term.joint:
                 continue
-            rows, root = self._evaluation.rows_of([term]), square_root(self._leveled(term))
+            rows, root = self._evaluation.rows_of([term]), square_root(self.leveled(term))
             if root.ndim == 1:
                 scale[rows] = root
             else:
@@ -174,16 +175,16 @@ class Assembly:
             length = math.sqrt(error.dot(error))
             if length > longest:
                 rate *= longest / length
-        if self._fed or evaluation.moving:
+        if self._fed or 1 in evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
         np.multiply(self._minus_scale, self._row_rate, out=unwanted)  # −S ẋ
         for part, root in self._roots:
             unwanted[part] = root @ unwanted[part]
         columns = weighted if self._all else weighted[:, self._dofs]
         columns.T.dot(columns, qp.H)  # Σ JᵀBJ
-        qp.H += self._constant  # + A + λ₀²I + Σ B
-        if self._damping.adapts:
-            qp.H.flat[:: self._dofs.size + 1] += self.unit * self._damping.update()  # + λ_a²I
+        qp.H += self.constant  # + A + λ₀²I + Σ B
+        if self.adaptive.adapts:
+            qp.H.flat[:: self._dofs.size + 1] += self.unit * self.adaptive.update()  # + λ_a²I
         unwanted.dot(columns, qp.g)  # −Σ JᵀB ẋ
         if len(self._joint_rates):
             self._add_joint_rates()
@@ -239,7 +240,7 @@ class Assembly:
         Last comes what picks among equal motions: A, or the least norm.
         """
         n = self._dofs.size
-        damping = max(self.unit * self._damping.square, LEAST_DAMPING) * np.eye(n)
+        damping = max(self.unit * self.adaptive.square, LEAST_DAMPING) * np.eye(n)
         metric = self.unit * self.metric()
         metric = metric + damping if metric.any() else np.eye(n)
         return [
@@ -252,7 +253,7 @@ class Assembly:
         for term in terms:
             part = self._evaluation.rows_of([term])
             if term.joint:
-                root = square_root(self._leveled(term))
+                root = square_root(self.leveled(term))
                 root = np.diag(root) if root.ndim == 1 else root
                 root = root[np.any(root != 0.0, axis=1)]
                 rows.append(root[:, self._dofs])
@@ -280,19 +281,20 @@ class Assembly:
     @property
     def damping(self) -> float:
         """λ of the last assembly."""
-        return math.sqrt(self._damping.square)
+        return math.sqrt(self.adaptive.square)
 
     @property
     def damped(self) -> bool:
         """Whether λ of the last assembly was above its floor."""
-        return self._damping.raised
+        return self.adaptive.raised
 
     def sigma_min(self) -> float:
         """Return σ, the least singular value of the tasked rows (see `Damping`); NaN without any.
 
         A task that leaves dofs free is not singular for it.
         """
-        sigma = self._damping.singular_values()
+        self._weigh()
+        sigma = self.adaptive.singular_values()
         return float(sigma[-1]) if sigma.size else math.nan
 
     def resize(self, rows: int, equalities: int) -> None:

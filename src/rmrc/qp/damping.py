@@ -62,19 +62,22 @@ class Damping:
             [t for t in evaluation.terms if not (t.joint or t.hard) and t.weight.any()]
         )
         rows = [evaluation.rows_of([t]).start + np.flatnonzero(_weighed(t)) for t in tasked]
-        self._rows = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
+        self.rows = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
+        """The tasked rows, among those of all terms."""
         self._errors = [(evaluation.error_of(evaluation.error, t), t.weight) for t in tasked]
         share = problem.soft_ratio ** tasked[0].level if tasked else 1.0
-        self._scale = 1.0 / math.sqrt(unit * share)
+        self.scale = 1.0 / math.sqrt(unit * share)
+        """What turns W into the configuration's own unit."""
         self._weighted = weigh()
-        self._rank = self._generic_rank(weigh)
+        self.rank = self._generic_rank(weigh)
+        """r."""
         raising = {
             "off": None,
             "sigma_min": self._by_sigma_min,
             "manipulability": self._by_manipulability,
             "error": self._by_error,
         }
-        self._raise = raising[self._model.adapt] if self._rank else None
+        self._raise = raising[self._model.adapt] if self.rank else None
         self.adapts = self._raise is not None
         """Whether λ can rise above its floor at all."""
         self._floor, self._added = problem.damping**2, 0.0
@@ -83,7 +86,7 @@ class Damping:
         """Return r, from configurations drawn around the start, where the evaluation is left."""
         evaluation, start, dofs = self._evaluation, self._problem.start, self._problem.dofs
         rng, rank = np.random.default_rng(0), 0
-        for _ in range(SAMPLES if self._rows.size else 0):
+        for _ in range(SAMPLES if self.rows.size else 0):
             evaluation.move(start, dofs, rng.uniform(-np.pi, np.pi, dofs.size))
             weigh()
             sigma = self._all_singular_values()
@@ -93,16 +96,16 @@ class Damping:
 
     def _all_singular_values(self) -> Array:
         """Return those of W, the largest first; zeros where the decomposition fails."""
-        rows = self._weighted.take(self._rows, 0).take(self._problem.dofs, 1)
+        rows = self._weighted.take(self.rows, 0).take(self._problem.dofs, 1)
         try:
             sigma = np.linalg.svd(rows, compute_uv=False)
         except np.linalg.LinAlgError:
             return np.zeros(min(rows.shape))
-        return np.multiply(sigma, self._scale)
+        return np.multiply(sigma, self.scale)
 
     def singular_values(self) -> Array:
         """Return σ₁ … σ_r of W (r,) at the last assembly, in the configuration's own unit."""
-        return self._all_singular_values()[: self._rank] if self._rank else np.zeros(0)
+        return self._all_singular_values()[: self.rank] if self.rank else np.zeros(0)
 
     def update(self) -> float:
         """Find λ at the present W and errors; return λ_a²."""

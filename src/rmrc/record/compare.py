@@ -232,7 +232,8 @@ def _variants(
             solver = config.solver.model_copy(update={"backend": backend})
             name = [method, *[backend] * (len(solvers) > 1), *[way] * (len(follow) > 1)]
             variants[" ".join(name)] = config.model_copy(
-                update={"method": method, "solver": solver, "follow": way}
+                # Methods and backends are the Python engine's, so that their times compare.
+                update={"method": method, "engine": "python", "solver": solver, "follow": way}
             )
     return variants
 

@@ -113,6 +113,7 @@ class _ComEvaluator:
             self._entries.append(
                 (
                     term,
+                    evaluation.index[term.name],
                     evaluation.target[term.name],
                     evaluation.jacobian[rows],
                     evaluation.error[rows],
@@ -123,7 +124,7 @@ class _ComEvaluator:
 
     def __call__(self) -> None:
         com = self._data.subtree_com
-        for term, target, jacobian, error, feedforward, twist in self._entries:
+        for term, index, target, jacobian, error, feedforward, twist in self._entries:
             if len(term.shares) == 1:
                 body = term.shares[0][0]
                 mujoco.mj_jacSubtreeCom(self._model, self._data, jacobian, body)
@@ -134,5 +135,5 @@ class _ComEvaluator:
                     mujoco.mj_jacSubtreeCom(self._model, self._data, self._part, body)
                     jacobian += share * self._part
                     error -= share * com[body]
-            if term.name in self._moving:
+            if self._moving[index]:
                 feedforward[:] = twist[:3]

@@ -219,6 +219,7 @@ class _FrameEvaluator:
         self._feeds = [
             (
                 k,
+                evaluation.index[t.name],
                 t,
                 evaluation.target[t.name],
                 evaluation.twist[t.name],
@@ -242,7 +243,7 @@ class _FrameEvaluator:
             self._transform[0].dot(self._world[0], self._jacobian[0])
         else:
             np.matmul(self._transform, self._world, out=self._jacobian)
-        if self._moving:
+        if 1 in self._moving:
             self._feed_forward()
 
     def _feed_forward(self) -> None:
@@ -252,8 +253,8 @@ class _FrameEvaluator:
         rigid body, (v_t + ω_t × (p_b − p_t), ω_t). Along the world's it is [v_t; Jl⁻¹(φ) ω_t],
         where Jl⁻¹(φ) is the transpose of Jr⁻¹(φ).
         """
-        for k, term, target, twist, position in self._feeds:
-            if term.name not in self._moving:
+        for k, index, term, target, twist, position in self._feeds:
+            if not self._moving[index]:
                 continue
             if term.axes == "world":
                 self._feedforward[k] = self._transform[k].T @ twist

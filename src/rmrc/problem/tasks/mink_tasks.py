@@ -50,6 +50,7 @@ class _MinkEvaluator:
             self._entries.append(
                 (
                     term,
+                    evaluation.index[term.name],
                     term.task(),
                     evaluation.target[term.name],
                     evaluation.jacobian[rows],
@@ -61,12 +62,12 @@ class _MinkEvaluator:
 
     def __call__(self) -> None:
         configuration = self._configuration
-        for term, task, target, jacobian, error, feedforward, twist in self._entries:
+        for term, index, task, target, jacobian, error, feedforward, twist in self._entries:
             term.aim(task, target)
             residual = task.compute_qp_residual(configuration)
             jacobian[:] = residual[0]
             error[:] = residual[1]
-            if term.name in self._moving:
+            if self._moving[index]:
                 feedforward[:] = term.feed_forward(configuration, error, target, twist)
 
 

@@ -1,0 +1,31 @@
+// The box of the joint limits: rmrc.problem.limits.box and .jerk, the same roundings included.
+#pragma once
+
+#include <vector>
+
+namespace rmrc {
+
+/// The limits of the joints (n,), as in rmrc.problem.limits.box.Box; ±∞ where there is none.
+struct JointLimits {
+  std::vector<int> coordinate;  // address in qpos
+  std::vector<double> lower, upper;
+  double gain;
+  std::vector<double> velocity, acceleration, jerk;
+};
+
+/// Computes lb ≤ v ≤ ub of a step: position, velocity and acceleration clip the ends in this order.
+class Box {
+ public:
+  explicit Box(JointLimits limits);
+
+  /// Write lb and ub (n,) at q, after a step with v_previous and a_previous (n,).
+  ///
+  /// Return whether a joint is outside its range.
+  bool update(const double* q, const double* v_previous, const double* a_previous, double dt,
+              double* lb, double* ub) const;
+
+ private:
+  JointLimits limits_;
+};
+
+}  // namespace rmrc

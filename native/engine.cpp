@@ -1,0 +1,189 @@
+#include "engine.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "kernels.hpp"
+
+namespace rmrc {
+
+namespace {
+
+constexpr double infinity = std::numeric_limits<double>::infinity();
+constexpr double certified = 1e-6;  // rmrc.control.engine.CERTIFIED
+constexpr double raised = 1e-6;     // rmrc.qp.damping.RAISED
+
+Ending ending_of(Status status) {
+  switch (status) {
+    case Status::solved:
+      return Ending::solved;
+    case Status::max_iter:
+      return Ending::max_iter;
+    case Status::infeasible:
+      return Ending::infeasible;
+    case Status::failed:
+      break;
+  }
+  return Ending::failed;
+}
+
+}  // namespace
+
+Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& program,
+               Constants constants, JointLimits limits, int max_iterations)
+    : mujoco_(mujoco),
+      stack_(stack),
+      program_(program),
+      constants_(std::move(constants)),
+      box_(std::move(limits)),
+      solver_(static_cast<int>(constants_.dofs.size()), 0, 0, max_iterations),
+      v_(constants_.dofs.size()),
+      z_(constants_.dofs.size()),
+      residual_(constants_.dofs.size()),
+      gradient_(mujoco.nv),
+      inertia_(constants_.inertia > 0.0 ? static_cast<std::size_t>(mujoco.nv) * mujoco.nv : 0),
+      v_previous_(constants_.dofs.size()),
+      a_previous_(constants_.dofs.size()) {}
+
+void Engine::adapt(DampingRule rule, std::vector<TaskedRow> rows) {
+  damping_.emplace(rule, std::move(rows), size());
+}
+
+void Engine::forget() {
+  warm_ = false;
+  solver_.forget();
+}
+
+bool Engine::damped() const { return added_ > raised * (constants_.floor + added_); }
+
+Ending Engine::solve(const double* q, double dt, double seconds) {
+  limited_ = seconds < infinity;
+  if (limited_) {
+    end_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                              std::chrono::duration<double>(std::max(seconds, 0.0)));
+  }
+  evaluate(q);
+  rates(dt);
+  assemble();
+  for (int i = 0; i < size(); ++i) {
+    v_previous_[i] = stack_.v_previous[constants_.dofs[i]];
+    a_previous_[i] = program_.a_previous[constants_.dofs[i]];
+  }
+  outside_ = box_.update(q, v_previous_.data(), a_previous_.data(), dt, program_.lb, program_.ub);
+  const bool warm = warm_;
+  Ending ending = attempt();
+  if (warm && !trusted(ending) && in_time()) {
+    forget();
+    ending = attempt();
+  }
+  if (trusted(ending)) return ending;
+  const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
+  if (stopped && residuals_.primal <= certified) return ending;
+  brake();
+  return ending == Ending::solved ? Ending::failed : ending;
+}
+
+void Engine::evaluate(const double* q) {
+  std::copy_n(q, mujoco_.nq, mujoco_.qpos);
+  mujoco_.call.kinematics(mujoco_.model, mujoco_.data);
+  mujoco_.call.com_pos(mujoco_.model, mujoco_.data);
+  for (const auto& term : rows_) term->evaluate();
+  for (const JointTerm& term : joints_) term.evaluate(mujoco_, stack_);
+}
+
+void Engine::rates(double dt) {
+  for (const auto& term : rows_) rate_of(term->data(), dt);
+  for (const JointTerm& term : joints_) rate_of(term.data, dt);
+}
+
+// ẋ = K clamp(e) + ẋ_ff; a gain above 1/dt would step past the target.
+void Engine::rate_of(const TermData& term, double dt) {
+  const double gain = std::min(term.gain, 1.0 / dt);
+  const double *error = stack_.error + term.first, *fed = stack_.feedforward + term.first;
+  double* rate = program_.rate + term.first;
+  for (int i = 0; i < term.rows; ++i) rate[i] = gain * error[i];
+  for (const Clamp& clamp : term.clamps) {
+    const double* part = error + clamp.first;
+    const double length = std::sqrt(dot(part, part, clamp.count));
+    if (!(length > clamp.longest)) continue;
+    for (int i = 0; i < clamp.count; ++i) rate[clamp.first + i] *= clamp.longest / length;
+  }
+  for (int i = 0; i < term.rows; ++i) rate[i] += fed[i];
+}
+
+void Engine::assemble() {
+  const int n = size();
+  double *H = program_.H, *g = program_.g;
+  std::copy(constants_.hessian.begin(), constants_.hessian.end(), H);
+  std::fill_n(g, n, 0.0);
+  for (const auto& term : rows_) term->add_to(H, g, n, program_.rate);
+  if (damping_ && damping_->adapts()) {
+    added_ = damping_->square(rows_, stack_.error);
+    for (int i = 0; i < n; ++i) H[i * n + i] += constants_.unit * added_;
+  }
+  add_joints();
+  if (constants_.inertia > 0.0) add_inertia();
+  for (int i = 0; i < n; ++i) {
+    for (int j = 0; j < i; ++j) H[j * n + i] = H[i * n + j];
+  }
+}
+
+void Engine::add_joints() {
+  if (joints_.empty()) return;
+  std::fill(gradient_.begin(), gradient_.end(), 0.0);
+  for (const JointTerm& term : joints_) term.add_to(gradient_.data(), program_.rate);
+  for (int i = 0; i < size(); ++i) program_.g[i] += gradient_[constants_.dofs[i]];
+}
+
+void Engine::add_inertia() {
+  mujoco_.call.make_inertia(mujoco_.model, mujoco_.data);
+  mujoco_.call.full_inertia(mujoco_.model, mujoco_.data, inertia_.data());
+  const double share = constants_.unit * constants_.inertia;
+  for (int i = 0; i < size(); ++i) {
+    const double* row = inertia_.data() + constants_.dofs[i] * mujoco_.nv;
+    for (int j = 0; j <= i; ++j) program_.H[i * size() + j] += share * row[constants_.dofs[j]];
+  }
+}
+
+// Solve the program as it stands, and certify the answer.
+Ending Engine::attempt() {
+  const int n = size();
+  Ending ending = Ending::time_limit;
+  iterations_ = 0;
+  if (in_time()) {
+    const Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
+                          nullptr,    nullptr,    nullptr,     0,           0};
+    ending = ending_of(solver_.solve(program));
+    iterations_ = solver_.iterations();
+    std::copy_n(solver_.v(), n, v_.begin());
+    std::copy_n(solver_.bound_multiplier(), n, z_.begin());
+  } else {
+    std::fill(v_.begin(), v_.end(), 0.0);
+    std::fill(z_.begin(), z_.end(), 0.0);
+  }
+  residuals_ = certify(n, program_.H, program_.g, program_.lb, program_.ub, z_.data(), v_.data(),
+                       residual_.data());
+  // What ran out of time goes on from where it got to.
+  warm_ = ending == Ending::solved || ending == Ending::time_limit;
+  return ending;
+}
+
+bool Engine::trusted(Ending ending) const {
+  if (ending != Ending::solved || !(residuals_.primal <= certified)) return false;
+  const double largest = std::max(residuals_.dual, residuals_.complementarity);
+  const double* g = program_.g;
+  return largest <= certified || largest <= certified * std::sqrt(dot(g, g, size()));
+}
+
+// The point of the box nearest to rest, in place of a solution that is none.
+void Engine::brake() {
+  bool finite = true;
+  for (int i = 0; i < size(); ++i) {
+    v_[i] = std::min(std::max(0.0, program_.lb[i]), program_.ub[i]);
+    finite &= std::isfinite(v_[i]);
+  }
+  if (!finite) std::fill(v_.begin(), v_.end(), 0.0);
+}
+
+}  // namespace rmrc

@@ -1,0 +1,118 @@
+// The whole step: evaluate, assemble, solve, certify, and what there is where that fails.
+#pragma once
+
+#include <chrono>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "box.hpp"
+#include "certificate.hpp"
+#include "damping.hpp"
+#include "mujoco.hpp"
+#include "qp.hpp"
+#include "tasks.hpp"
+
+namespace rmrc {
+
+/// The program's own arrays, which Python reads as well.
+struct ProgramArrays {
+  double* H;  // (n, n)
+  double* g;
+  double* lb;
+  double* ub;
+  double* rate;           // ẋ = K clamp(e) + ẋ_ff of all terms
+  const double* a_previous;  // (nv,)
+};
+
+/// What no configuration changes.
+struct Constants {
+  std::vector<int> dofs;         // (n,)
+  std::vector<double> hessian;   // A + λ₀²I + Σ B of the terms on the joints (n, n)
+  double unit;                   // what the whole cost is multiplied by
+  double inertia;                // the share of M(q) in A
+  double floor;                  // λ₀²
+};
+
+/// How a step ended: as in rmrc.qp.program.SolveStatus.
+enum class Ending { solved, max_iter, time_limit, infeasible, failed };
+
+/// Solves one step after the other, each from the active set of the last.
+///
+/// The specification is rmrc.control.engine.PythonEngine without rows and equalities. All memory is
+/// taken before the first step.
+class Engine {
+ public:
+  Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& program,
+         Constants constants, JointLimits limits, int max_iterations);
+  Engine(const Engine&) = delete;
+  Engine& operator=(const Engine&) = delete;
+
+  const MuJoCo& mujoco() const { return mujoco_; }
+  const Stack& stack() const { return stack_; }
+
+  void add(std::unique_ptr<RowTerm> term) { rows_.push_back(std::move(term)); }
+  void add(JointTerm term) { joints_.push_back(std::move(term)); }
+  void adapt(DampingRule rule, std::vector<TaskedRow> rows);
+
+  /// Solve a step of dt seconds at q (nq,), within so many seconds from now.
+  Ending solve(const double* q, double dt,
+               double seconds = std::numeric_limits<double>::infinity());
+
+  /// Forget the last solution, so that the next solve starts cold.
+  void forget();
+
+  int size() const { return static_cast<int>(constants_.dofs.size()); }
+  const std::vector<int>& dofs() const { return constants_.dofs; }
+  const double* v() const { return v_.data(); }
+  const double* bound_multiplier() const { return z_.data(); }
+  const Residuals& residuals() const { return residuals_; }
+  int iterations() const { return iterations_; }
+  const std::vector<std::unique_ptr<RowTerm>>& row_terms() const { return rows_; }
+  const double* rate() const { return program_.rate; }
+
+  /// Whether a joint was outside its range at the last step.
+  bool outside() const { return outside_; }
+
+  /// λ_a² of the last step, and whether it was more than rounding.
+  double added_damping() const { return added_; }
+  bool damped() const;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  void evaluate(const double* q);
+  void rates(double dt);
+  void rate_of(const TermData& term, double dt);
+  void assemble();
+  void add_joints();
+  void add_inertia();
+  Ending attempt();
+  bool trusted(Ending ending) const;
+  bool in_time() const { return !limited_ || Clock::now() < end_; }
+  void brake();
+
+  MuJoCo mujoco_;
+  Stack stack_;
+  ProgramArrays program_;
+  Constants constants_;
+  Box box_;
+  std::vector<std::unique_ptr<RowTerm>> rows_;
+  std::vector<JointTerm> joints_;
+  std::optional<Damping> damping_;
+  QPSolver solver_;
+  bool warm_ = false;
+
+  bool limited_ = false;  // whether there is a deadline
+  Clock::time_point end_;
+  bool outside_ = false;
+  double added_ = 0.0;
+  int iterations_ = 0;
+  Residuals residuals_{};
+  std::vector<double> v_, z_, residual_;
+  std::vector<double> gradient_, inertia_;  // (nv,), (nv, nv)
+  std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
+};
+
+}  // namespace rmrc

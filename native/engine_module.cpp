@@ -1,0 +1,321 @@
+// The engine in Python: built from the arrays of an `Evaluation` and an `Assembly`, solved in place.
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <initializer_list>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "bindings.hpp"
+#include "engine.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace rmrc {
+
+namespace {
+
+using Reading = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+using Flags = nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Numbers = std::vector<double>;
+
+template <class Array>
+void require(const Array& array, std::size_t size, const char* what) {
+  if (array.size() != size) throw std::invalid_argument(std::string(what) + " has a wrong size");
+}
+
+template <class Function>
+Function function(std::uintptr_t address) {
+  if (address == 0) throw std::invalid_argument("a function of MuJoCo's is missing");
+  return reinterpret_cast<Function>(address);
+}
+
+const char* name(Ending ending) {
+  switch (ending) {
+    case Ending::solved:
+      return "solved";
+    case Ending::max_iter:
+      return "max_iter";
+    case Ending::time_limit:
+      return "time_limit";
+    case Ending::infeasible:
+      return "infeasible";
+    case Ending::failed:
+      break;
+  }
+  return "failed";
+}
+
+// The parts that Python names, with the arrays that they point into.
+struct RowsArgument {
+  TermData data;
+  Numbers root;
+  Reading target, twist;
+  Flags moving;
+};
+
+struct FrameArgument {
+  Frame frame;
+  Reading position, rotation, robot_com;
+};
+
+// The engine, and the arrays of Python's that it points into.
+class BoundEngine {
+ public:
+  BoundEngine(const std::vector<std::uintptr_t>& functions, std::uintptr_t model,
+              std::uintptr_t data, Writing qpos, Reading cdof, Writing error, Writing feedforward,
+              Writing rate, Writing jacobian, Reading v_previous, Reading a_previous,
+              std::vector<int> dofs, Numbers hessian, double unit, double inertia, double floor,
+              const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
+                               Numbers>& limits,
+              Writing H, Writing g, Writing lb, Writing ub, int max_iter)
+      : kept_{nb::cast(qpos),      nb::cast(cdof),       nb::cast(error),     nb::cast(feedforward),
+              nb::cast(rate),      nb::cast(jacobian),   nb::cast(v_previous), nb::cast(a_previous),
+              nb::cast(H),         nb::cast(g),          nb::cast(lb),        nb::cast(ub)} {
+    const std::size_t n = dofs.size(), nv = v_previous.size();
+    if (functions.size() != 6) throw std::invalid_argument("six functions are needed");
+    require(cdof, 6 * nv, "cdof");
+    require(a_previous, nv, "a_previous");
+    require(feedforward, error.size(), "feedforward");
+    require(rate, error.size(), "rate");
+    require(hessian, n * n, "hessian");
+    require(H, n * n, "H");
+    for (const Writing* array : {&g, &lb, &ub}) require(*array, n, "the program");
+    place_.assign(nv, -1);
+    for (std::size_t k = 0; k < n; ++k) place_.at(dofs[k]) = static_cast<int>(k);
+    rows_ = static_cast<int>(error.size());
+    const MuJoCo mujoco{
+        {function<void (*)(const void*, void*)>(functions[0]),
+         function<void (*)(const void*, void*)>(functions[1]),
+         function<void (*)(const void*, void*)>(functions[2]),
+         function<void (*)(const void*, const void*, double*)>(functions[3]),
+         function<void (*)(const void*, double*, const double*, double)>(functions[4]),
+         function<void (*)(const void*, double*, double, const double*, const double*)>(
+             functions[5])},
+        reinterpret_cast<const void*>(model),
+        reinterpret_cast<void*>(data),
+        static_cast<int>(qpos.size()),
+        static_cast<int>(nv),
+        qpos.data(),
+        cdof.data()};
+    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk] = limits;
+    for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk}) {
+      require(*values, n, "a limit");
+    }
+    require(coordinate, n, "a limit");
+    engine_ = std::make_unique<Engine>(
+        mujoco,
+        Stack{error.data(), feedforward.data(), jacobian.data(), v_previous.data(), place_.data()},
+        ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(), a_previous.data()},
+        Constants{std::move(dofs), std::move(hessian), unit, inertia, floor},
+        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk}, max_iter);
+  }
+
+  Engine& operator*() { return *engine_; }
+  const Engine& operator*() const { return *engine_; }
+
+  void add_frame(const RowsArgument& rows, const FrameArgument& frame, bool world) {
+    if (world) {
+      add<WorldFrame>(rows, 6, kept(frame));
+    } else {
+      add<BodyFrame>(rows, 6, kept(frame));
+    }
+  }
+
+  void add_relative(const RowsArgument& rows, const FrameArgument& frame,
+                    const FrameArgument& root) {
+    add<RelativeFrame>(rows, 6, kept(frame), kept(root));
+  }
+
+  void add_axis(const RowsArgument& rows, const FrameArgument& frame, const Numbers& axis,
+                bool at_point) {
+    require(axis, 3, "axis");
+    add<Axis>(rows, 3, kept(frame), axis.data(), at_point);
+  }
+
+  void add_com(const RowsArgument& rows,
+               const std::vector<std::tuple<int, double, Reading, Reading>>& moved,
+               const std::vector<std::tuple<double, Reading>>& parts) {
+    std::vector<MovedMass> masses;
+    for (const auto& [dof, share, point, robot_com] : moved) {
+      masses.push_back({dof, share, point.data(), robot_com.data()});
+      kept_.append(nb::cast(point));
+      kept_.append(nb::cast(robot_com));
+    }
+    Numbers shares;
+    std::vector<const double*> centres;
+    for (const auto& [share, centre] : parts) {
+      shares.push_back(share);
+      centres.push_back(centre.data());
+      kept_.append(nb::cast(centre));
+    }
+    add<CentreOfMass>(rows, 3, std::move(masses), std::move(shares), std::move(centres));
+  }
+
+  void add_coupling(const RowsArgument& rows, const Numbers& by_coordinate, const Numbers& by_dof,
+                    double offset) {
+    require(by_coordinate, static_cast<std::size_t>(engine_->mujoco().nq), "by_coordinate");
+    require(by_dof, static_cast<std::size_t>(engine_->mujoco().nv), "by_dof");
+    add<Coupling>(rows, 1, by_coordinate, by_dof, offset);
+  }
+
+  void add_joint_task(const RowsArgument& rows, const std::string& kind) {
+    const auto nv = static_cast<std::size_t>(engine_->mujoco().nv);
+    if (rows.root.size() != nv && rows.root.size() != nv * nv) {
+      throw std::invalid_argument("the weight has a wrong size");
+    }
+    const JointTask task = kind == "posture"    ? JointTask::posture
+                           : kind == "velocity" ? JointTask::velocity
+                           : kind == "smooth"
+                               ? JointTask::smooth
+                               : throw std::invalid_argument("there is no task " + kind);
+    engine_->add(JointTerm{checked(rows, static_cast<int>(nv)), task, rows.root});
+  }
+
+  void adapt(const std::string& rule, double threshold, double largest, int rank, double scale,
+             const std::vector<std::tuple<int, int>>& rows) {
+    const Adapt adapt = rule == "sigma_min"        ? Adapt::sigma_min
+                        : rule == "manipulability" ? Adapt::manipulability
+                        : rule == "error"
+                            ? Adapt::error
+                            : throw std::invalid_argument("there is no rule " + rule);
+    std::vector<TaskedRow> tasked;
+    for (const auto& [term, row] : rows) {
+      const auto& terms = engine_->row_terms();
+      if (term < 0 || term >= static_cast<int>(terms.size()) || row < 0 ||
+          row >= terms[term]->data().rows) {
+        throw std::invalid_argument("there is no such row");
+      }
+      tasked.push_back({term, row});
+    }
+    engine_->adapt({adapt, threshold, largest, rank, scale}, std::move(tasked));
+  }
+
+ private:
+  template <class Term, class... Arguments>
+  void add(const RowsArgument& rows, int count, Arguments&&... arguments) {
+    const auto size = static_cast<std::size_t>(count);
+    if (rows.root.size() != size && rows.root.size() != size * size) {
+      throw std::invalid_argument("the root of the weight has a wrong size");
+    }
+    engine_->add(std::make_unique<Term>(checked(rows, count), rows.root,
+                                        std::forward<Arguments>(arguments)..., engine_->mujoco(),
+                                        engine_->stack()));
+  }
+
+  TermData checked(const RowsArgument& rows, int count) {
+    if (rows.data.rows != count || rows.data.first < 0 || rows.data.first + count > rows_) {
+      throw std::invalid_argument("the rows of a term are not those of the error");
+    }
+    kept_.append(nb::cast(rows.target));
+    kept_.append(nb::cast(rows.twist));
+    kept_.append(nb::cast(rows.moving));
+    return rows.data;
+  }
+
+  Frame kept(const FrameArgument& argument) {
+    kept_.append(nb::cast(argument.position));
+    kept_.append(nb::cast(argument.rotation));
+    kept_.append(nb::cast(argument.robot_com));
+    return argument.frame;
+  }
+
+  struct Kept {
+    Kept(std::initializer_list<nb::object> objects) : list(objects) {}
+    void append(nb::object object) { list.push_back(std::move(object)); }
+    std::vector<nb::object> list;
+  } kept_;
+  std::vector<int> place_;
+  int rows_ = 0;
+  std::unique_ptr<Engine> engine_;
+};
+
+RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading target,
+                       Reading twist, Flags moving,
+                       const std::vector<std::tuple<int, int, double>>& clamps) {
+  require(twist, 6, "twist");
+  require(moving, 1, "moving");
+  RowsArgument rows{{first, count, gain, target.data(), twist.data(), moving.data(), {}},
+                    std::move(root),
+                    target,
+                    twist,
+                    moving};
+  for (const auto& [at, size, longest] : clamps) {
+    if (at < 0 || size < 0 || at + size > count) throw std::invalid_argument("a clamp is outside");
+    rows.data.clamps.push_back({at, size, longest});
+  }
+  return rows;
+}
+
+FrameArgument make_frame(Reading position, Reading rotation, Reading robot_com,
+                         std::vector<int> dofs) {
+  require(position, 3, "position");
+  require(rotation, 9, "rotation");
+  require(robot_com, 3, "robot_com");
+  return {{position.data(), rotation.data(), robot_com.data(), std::move(dofs)},
+          position,
+          rotation,
+          robot_com};
+}
+
+nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
+                const Writing& solution) {
+  Engine& engine = *bound;
+  const std::size_t n = engine.size();
+  require(q, static_cast<std::size_t>(engine.mujoco().nq), "q");
+  require(solution, 2 * n, "solution");
+  const Ending ending = engine.solve(q.data(), dt, seconds);
+  std::copy_n(engine.v(), n, solution.data());
+  std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
+  const Residuals& kkt = engine.residuals();
+  return nb::make_tuple(name(ending), engine.iterations(), kkt.primal, kkt.dual,
+                        kkt.complementarity, engine.outside(), engine.damped());
+}
+
+}  // namespace
+
+void bind_engine(nb::module_& m) {
+  nb::class_<RowsArgument>(m, "TermRows", "What all terms of an engine have.")
+      .def(nb::new_(&make_rows), "first"_a, "count"_a, "gain"_a, "root"_a, "target"_a, "twist"_a,
+           "moving"_a, "clamps"_a = std::vector<std::tuple<int, int, double>>());
+  nb::class_<FrameArgument>(m, "Frame", "Where the pose of a frame stands, and what moves it.")
+      .def(nb::new_(&make_frame), "position"_a, "rotation"_a, "robot_com"_a, "dofs"_a);
+  nb::class_<BoundEngine>(m, "Engine", "The whole step, in the arrays that it is given.")
+      .def(nb::init<const std::vector<std::uintptr_t>&, std::uintptr_t, std::uintptr_t, Writing,
+                    Reading, Writing, Writing, Writing, Writing, Reading, Reading,
+                    std::vector<int>, Numbers, double, double, double,
+                    const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
+                                     Numbers>&,
+                    Writing, Writing, Writing, Writing, int>(),
+           nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a, "cdof"_a, "error"_a,
+           "feedforward"_a, "rate"_a, "jacobian"_a, "v_previous"_a, "a_previous"_a, "dofs"_a,
+           "hessian"_a, "unit"_a, "inertia"_a, "floor"_a, "limits"_a, "H"_a, "g"_a, "lb"_a, "ub"_a,
+           "max_iter"_a)
+      .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a, "world"_a)
+      .def("add_relative", &BoundEngine::add_relative, "rows"_a, "frame"_a, "root"_a)
+      .def("add_axis", &BoundEngine::add_axis, "rows"_a, "frame"_a, "axis"_a, "at_point"_a)
+      .def("add_com", &BoundEngine::add_com, "rows"_a, "moved"_a, "parts"_a)
+      .def("add_coupling", &BoundEngine::add_coupling, "rows"_a, "by_coordinate"_a, "by_dof"_a,
+           "offset"_a)
+      .def("add_joint_task", &BoundEngine::add_joint_task, "rows"_a, "kind"_a)
+      .def("adapt", &BoundEngine::adapt, "rule"_a, "threshold"_a, "largest"_a, "rank"_a, "scale"_a,
+           "rows"_a)
+      .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,
+           "Solve a step; write v and z, and return how it ended, the iterations, the residuals,\n"
+           "whether a joint is outside its range, and whether the damping is above its floor.")
+      .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");
+}
+
+}  // namespace rmrc

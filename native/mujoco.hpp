@@ -1,0 +1,30 @@
+// What a step takes from MuJoCo: functions of the loaded library, and arrays where Python says.
+//
+// No struct of MuJoCo's is known here, so that one build serves every version whose functions have
+// these signatures.
+#pragma once
+
+namespace rmrc {
+
+/// The functions of libmujoco that a step calls; mjModel and mjData are opaque.
+struct MuJoCoFunctions {
+  void (*kinematics)(const void* model, void* data);
+  void (*com_pos)(const void* model, void* data);
+  void (*make_inertia)(const void* model, void* data);
+  void (*full_inertia)(const void* model, const void* data, double* matrix);
+  void (*integrate_pos)(const void* model, double* q, const double* v, double dt);
+  void (*differentiate_pos)(const void* model, double* v, double dt, const double* from,
+                            const double* to);
+};
+
+/// A model with its data, and the arrays of theirs that a step reads.
+struct MuJoCo {
+  MuJoCoFunctions call;
+  const void* model;
+  void* data;
+  int nq, nv;
+  double* qpos;        // (nq,)
+  const double* cdof;  // (nv, 6): the axis of each dof, angular then linear, at its robot's com
+};
+
+}  // namespace rmrc

@@ -1,0 +1,456 @@
+#include "tasks.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "kernels.hpp"
+#include "lie.hpp"
+
+namespace rmrc {
+
+namespace {
+
+constexpr double least_length = 1e-10;  // a target nearer than this, m, has no direction
+constexpr double least_angle = 1e-9;    // rad
+
+// T ← [A 0; 0 D] in a matrix (6, 6).
+void set_blocks(double* T, const double* A, const double* B, const double* D) {
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      T[6 * i + j] = A[3 * i + j];
+      T[6 * i + 3 + j] = B[3 * i + j];
+      T[6 * (i + 3) + j] = 0.0;
+      T[6 * (i + 3) + 3 + j] = D[3 * i + j];
+    }
+  }
+}
+
+// out = T x for T (rows, 6).
+void apply(const double* T, int rows, const double* x, double* out) {
+  for (int i = 0; i < rows; ++i) {
+    double sum = 0.0;
+    for (int j = 0; j < 6; ++j) sum += T[6 * i + j] * x[j];
+    out[i] = sum;
+  }
+}
+
+double norm3(const double* v) { return std::sqrt(dot3(v, v)); }
+
+std::vector<int> united(const std::vector<int>& a, const std::vector<int>& b) {
+  std::vector<int> all(a);
+  for (const int dof : b) {
+    if (std::find(a.begin(), a.end(), dof) == a.end()) all.push_back(dof);
+  }
+  return all;
+}
+
+std::vector<int> dofs_of(const std::vector<MovedMass>& moved) {
+  std::vector<int> dofs;
+  for (const MovedMass& part : moved) dofs.push_back(part.dof);
+  return dofs;
+}
+
+std::vector<int> nonzero(const std::vector<double>& values) {
+  std::vector<int> found;
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (values[i] != 0.0) found.push_back(static_cast<int>(i));
+  }
+  return found;
+}
+
+// The distance and the angle that the logarithm e = log(T) of a motion stands for.
+void measure_motion(const double* e, double* measures) {
+  const double *rho = e, *omega = e + 3;
+  const double angle = norm3(omega), square = dot3(rho, rho);
+  measures[1] = angle;
+  if (angle < least_angle) {
+    measures[0] = std::sqrt(square);
+    return;
+  }
+  const double projection = dot3(rho, omega) / angle, along = projection * projection;
+  const double ratio = 2.0 * std::sin(0.5 * angle) / angle;
+  measures[0] = std::sqrt(along + ratio * ratio * std::max(square - along, 0.0));
+}
+
+}  // namespace
+
+RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
+                 const MuJoCo& mujoco, const Stack& stack)
+    : data_(std::move(data)),
+      mujoco_(mujoco),
+      stack_(stack),
+      dofs_(std::move(dofs)),
+      root_(std::move(root)) {
+  std::stable_partition(dofs_.begin(), dofs_.end(), [&](int dof) { return stack.place[dof] >= 0; });
+  for (const int dof : dofs_) {
+    if (stack.place[dof] >= 0) columns_.push_back(stack.place[dof]);
+  }
+  inside_ = static_cast<int>(columns_.size());
+  stride_ = (static_cast<int>(dofs_.size()) + 3) / 4 * 4;
+  jacobian_.resize(static_cast<std::size_t>(data_.rows) * stride_);
+  weighted_.resize(jacobian_.size());
+  world_.resize(6 * static_cast<std::size_t>(stride_));
+}
+
+void RowTerm::evaluate() {
+  differentiate();
+  const int rows = data_.rows, count = static_cast<int>(dofs_.size());
+  for (int r = 0; r < rows; ++r) {
+    double* out = stack_.jacobian + (data_.first + r) * mujoco_.nv;
+    const double* own = jacobian_.data() + r * stride_;
+    for (int k = 0; k < count; ++k) out[dofs_[k]] = own[k];
+  }
+  const bool full = static_cast<int>(root_.size()) > rows;
+  for (int r = 0; r < rows; ++r) {
+    double* out = weighted_.data() + r * stride_;
+    if (!full) {
+      const double* own = jacobian_.data() + r * stride_;
+      for (int k = 0; k < stride_; k += 4) store(root_[r] * load(own + k), out + k);
+      continue;
+    }
+    std::fill_n(out, stride_, 0.0);
+    for (int s = 0; s < rows; ++s) {
+      add_scaled(root_[r * rows + s], jacobian_.data() + s * stride_, out, stride_);
+    }
+  }
+}
+
+void RowTerm::weigh(const double* x, double* out) const {
+  const int rows = data_.rows;
+  for (int r = 0; r < rows; ++r) {
+    out[r] = static_cast<int>(root_.size()) > rows ? dot(root_.data() + r * rows, x, rows)
+                                                   : root_[r] * x[r];
+  }
+}
+
+void RowTerm::add_to(double* H, double* g, int n, const double* rate) {
+  const int rows = data_.rows;
+  double wanted[6];
+  weigh(rate + data_.first, wanted);
+  const double* W = weighted_.data();
+  for (int i = 0; i < inside_; ++i) {
+    double* row = H + columns_[i] * n;
+    for (int k = 0; k <= i; k += 4) {
+      Quad sums{};
+      for (int r = 0; r < rows; ++r) sums += W[r * stride_ + i] * load(W + r * stride_ + k);
+      double products[4];
+      store(sums, products);
+      for (int l = k; l <= std::min(k + 3, i); ++l) {
+        // Of the two places the one below the diagonal: columns may come in any order.
+        double* at = columns_[l] <= columns_[i] ? row + columns_[l]
+                                                : H + columns_[l] * n + columns_[i];
+        *at += products[l - k];
+      }
+    }
+    double pull = 0.0;
+    for (int r = 0; r < rows; ++r) pull += W[r * stride_ + i] * wanted[r];
+    g[columns_[i]] -= pull;
+  }
+}
+
+void RowTerm::copy_row(int r, double* row) const {
+  for (int k = 0; k < inside_; ++k) row[columns_[k]] = weighted_[r * stride_ + k];
+}
+
+void RowTerm::multiply(const double* v, double* out) const {
+  for (int r = 0; r < data_.rows; ++r) {
+    double sum = 0.0;
+    for (int k = 0; k < inside_; ++k) sum += jacobian_[r * stride_ + k] * v[columns_[k]];
+    out[r] = sum;
+  }
+}
+
+void RowTerm::measure(double* measures) const {
+  measures[0] = measures[1] = std::sqrt(dot(error(), error(), data_.rows));
+}
+
+void RowTerm::turn(const Frame& frame, const double* T) {
+  double offset[3];
+  for (int i = 0; i < 3; ++i) offset[i] = frame.position[i] - frame.robot_com[i];
+  const int count = static_cast<int>(dofs_.size()), own = static_cast<int>(frame.dofs.size());
+  double* world = world_.data();
+  if (own < count) std::fill(world_.begin(), world_.end(), 0.0);
+  for (int k = 0, found = 0; k < count && found < own; ++k) {
+    if (own < count && !std::binary_search(frame.dofs.begin(), frame.dofs.end(), dofs_[k])) {
+      continue;
+    }
+    ++found;
+    const double* angular = mujoco_.cdof + 6 * dofs_[k];
+    double moved[3];
+    cross(angular, offset, moved);
+    for (int i = 0; i < 3; ++i) {
+      world[i * stride_ + k] = angular[3 + i] + moved[i];
+      world[(3 + i) * stride_ + k] = angular[i];
+    }
+  }
+  for (int r = 0; r < data_.rows; ++r, T += 6) {
+    double* out = jacobian_.data() + r * stride_;
+    for (int k = 0; k < stride_; k += 4) {
+      Quad sum = load(out + k);
+      for (int i = 0; i < 6; ++i) sum += T[i] * load(world + i * stride_ + k);
+      store(sum, out + k);
+    }
+  }
+}
+
+BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+                     const Stack& stack)
+    : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
+      frame_(std::move(frame)) {}
+
+void BodyFrame::measure(double* measures) const { measure_motion(error(), measures); }
+
+void BodyFrame::differentiate() {
+  const double *quaternion = data_.target, *position = data_.target + 4, *R = frame_.rotation;
+  double own[4], turned[4], away[3], translation[3];
+  quaternion_of(R, own);
+  conjugate_multiply(own, quaternion, turned);
+  for (int i = 0; i < 3; ++i) away[i] = position[i] - frame_.position[i];
+  rotate_back(R, away, translation);
+  log_motion(turned, translation, error());
+  double A[9], B[9], AR[9], BR[9], T[36];
+  inverse_left_jacobian_motion(error(), A, B);
+  multiply_transposed3(A, R, AR);
+  multiply_transposed3(B, R, BR);
+  set_blocks(T, AR, BR, AR);
+  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
+  turn(frame_, T);
+  if (!moves()) return;
+  // What the frame would have to do to move with the target as one rigid body.
+  double rigid[6], lever[3];
+  std::copy_n(data_.twist, 6, rigid);
+  for (int i = 0; i < 3; ++i) away[i] = -away[i];
+  cross(rigid + 3, away, lever);
+  for (int i = 0; i < 3; ++i) rigid[i] += lever[i];
+  apply(T, 6, rigid, feedforward());
+}
+
+WorldFrame::WorldFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+                       const Stack& stack)
+    : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
+      frame_(std::move(frame)) {}
+
+void WorldFrame::measure(double* measures) const {
+  measures[0] = norm3(error());
+  measures[1] = norm3(error() + 3);
+}
+
+void WorldFrame::differentiate() {
+  double own[4], turned[4], A[9], zero[9] = {}, T[36], e[6] = {};
+  for (int i = 0; i < 3; ++i) error()[i] = data_.target[4 + i] - frame_.position[i];
+  quaternion_of(frame_.rotation, own);
+  multiply_conjugate(data_.target, own, turned);
+  log_rotation(turned, error() + 3, 0.0);
+  // Jr⁻¹(φ) = Jl⁻¹(−φ)
+  for (int i = 0; i < 3; ++i) e[3 + i] = -error()[3 + i];
+  inverse_left_jacobian_motion(e, A, zero);
+  const double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  std::fill_n(zero, 9, 0.0);
+  set_blocks(T, unit, zero, A);
+  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
+  turn(frame_, T);
+  if (!moves()) return;
+  std::copy_n(data_.twist, 3, feedforward());
+  rotate_back(A, data_.twist + 3, feedforward() + 3);
+}
+
+RelativeFrame::RelativeFrame(TermData data, std::vector<double> root, Frame frame, Frame base,
+                             const MuJoCo& mujoco, const Stack& stack)
+    : RowTerm(std::move(data), std::move(root), united(frame.dofs, base.dofs), mujoco, stack),
+      frame_(std::move(frame)),
+      base_(std::move(base)) {}
+
+void RelativeFrame::measure(double* measures) const { measure_motion(error(), measures); }
+
+void RelativeFrame::differentiate() {
+  const double *Rf = frame_.rotation, *Rb = base_.rotation;
+  double qf[4], qb[4], relative[4], away[3], place[3];
+  quaternion_of(Rf, qf);
+  quaternion_of(Rb, qb);
+  conjugate_multiply(qb, qf, relative);  // T_bf: the frame in the coordinates of its base
+  for (int i = 0; i < 3; ++i) away[i] = frame_.position[i] - base_.position[i];
+  rotate_back(Rb, away, place);
+  // e = log(T_ft), for T_tf = T_bt⁻¹ T_bf
+  double turned[4], gap[3], R[9], translation[3];
+  conjugate_multiply(relative, data_.target, turned);
+  for (int i = 0; i < 3; ++i) gap[i] = data_.target[4 + i] - place[i];
+  transposed_multiply3(Rb, Rf, R);
+  rotate_back(R, gap, translation);
+  log_motion(turned, translation, error());
+  double A[9], B[9], AR[9], BR[9], T[36], Tb[36];
+  inverse_left_jacobian_motion(error(), A, B);
+  multiply_transposed3(A, Rf, AR);
+  multiply_transposed3(B, Rf, BR);
+  set_blocks(T, AR, BR, AR);
+  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
+  turn(frame_, T);
+  // The base carries the frame along: its point at the frame's origin moves by ω × away.
+  for (int r = 0; r < 6; ++r) {
+    double* row = Tb + 6 * r;
+    for (int i = 0; i < 6; ++i) row[i] = -T[6 * r + i];
+    double lever[3];
+    cross(away, row, lever);  // aᵀ(ω × p) = ωᵀ(p × a)
+    for (int i = 0; i < 3; ++i) row[3 + i] += lever[i];
+  }
+  turn(base_, Tb);
+  if (!moves()) return;
+  // Jlog(T_tf) Ad(T_ft) V_t with the target's twist in its own axes: rotated into the frame's, and
+  // taken at the frame's origin.
+  double rigid[6], lever[3], at_frame[6];
+  std::copy_n(data_.twist, 6, rigid);
+  for (int i = 0; i < 3; ++i) gap[i] = -gap[i];
+  cross(rigid + 3, gap, lever);
+  for (int i = 0; i < 3; ++i) rigid[i] += lever[i];
+  rotate_back(R, rigid, at_frame);
+  rotate_back(R, rigid + 3, at_frame + 3);
+  for (int i = 0; i < 3; ++i) {
+    feedforward()[i] = dot3(A + 3 * i, at_frame) + dot3(B + 3 * i, at_frame + 3);
+    feedforward()[3 + i] = dot3(A + 3 * i, at_frame + 3);
+  }
+}
+
+Axis::Axis(TermData data, std::vector<double> root, Frame frame, const double* axis, bool at_point,
+           const MuJoCo& mujoco, const Stack& stack)
+    : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
+      frame_(std::move(frame)),
+      at_point_(at_point) {
+  std::copy_n(axis, 3, axis_);
+}
+
+void Axis::measure(double* measures) const {
+  measures[0] = measures[1] = 2.0 * std::asin(std::min(0.5 * norm3(error()), 1.0));
+}
+
+void Axis::differentiate() {
+  double T[18], direction[3];
+  if (at_point_) {
+    look_at(T, direction);
+  } else {
+    align(T, direction);
+  }
+  for (int i = 0; i < 3; ++i) error()[i] = direction[i] - axis_[i];
+  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
+  turn(frame_, T);
+}
+
+// d = Rᵀ(t − p)/n, whose rate is −(I − d dᵀ)(J_v − [nd]× J_ω)/n.
+void Axis::look_at(double* T, double* direction) {
+  const double* R = frame_.rotation;
+  double away[3], toward[3];
+  for (int i = 0; i < 3; ++i) away[i] = data_.target[i] - frame_.position[i];
+  rotate_back(R, away, toward);
+  const double length = norm3(toward), distance = std::max(length, least_length);
+  for (int i = 0; i < 3; ++i) direction[i] = toward[i] / distance;
+  double across[9], turned[9];
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      across[3 * i + j] = ((i == j) - direction[i] * direction[j]) / distance;
+    }
+  }
+  multiply_transposed3(across, R, turned);
+  for (int i = 0; i < 3; ++i) {
+    double lever[3];
+    // −[r]×Rᵀω = −Rᵀ(away × ω), and aᵀ(away × ω) = ωᵀ(a × away)
+    cross(turned + 3 * i, away, lever);
+    for (int j = 0; j < 3; ++j) {
+      T[6 * i + j] = turned[3 * i + j];
+      T[6 * i + 3 + j] = -lever[j];
+    }
+  }
+  if (!moves()) return;
+  double velocity[3];
+  rotate_back(R, data_.twist, velocity);
+  const double floor = std::max(length, least_angle);
+  for (int i = 0; i < 3; ++i) toward[i] /= floor;
+  const double along = dot3(toward, velocity);
+  for (int i = 0; i < 3; ++i) feedforward()[i] = (velocity[i] - toward[i] * along) / floor;
+}
+
+// d = Rᵀt, whose rate is [d]× J_ω along the frame's axes.
+void Axis::align(double* T, double* direction) {
+  const double *R = frame_.rotation, *t = data_.target;
+  rotate_back(R, t, direction);
+  for (int i = 0; i < 3; ++i) {
+    const double column[3] = {R[i], R[3 + i], R[6 + i]};
+    double lever[3];
+    // −[d]×Rᵀω = −Rᵀ(t × ω), and cᵀ(t × ω) = ωᵀ(c × t)
+    cross(column, t, lever);
+    for (int j = 0; j < 3; ++j) {
+      T[6 * i + j] = 0.0;
+      T[6 * i + 3 + j] = -lever[j];
+    }
+  }
+  if (!moves()) return;
+  double velocity[3];
+  cross(data_.twist + 3, t, velocity);
+  rotate_back(R, velocity, feedforward());
+}
+
+CentreOfMass::CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
+                           std::vector<double> shares, std::vector<const double*> centres,
+                           const MuJoCo& mujoco, const Stack& stack)
+    : RowTerm(std::move(data), std::move(root), dofs_of(moved), mujoco, stack),
+      moved_(std::move(moved)),
+      shares_(std::move(shares)),
+      centres_(std::move(centres)) {
+  std::stable_partition(moved_.begin(), moved_.end(),
+                        [&](const MovedMass& part) { return stack.place[part.dof] >= 0; });
+}
+
+void CentreOfMass::differentiate() {
+  std::copy_n(data_.target, 3, error());
+  for (std::size_t k = 0; k < shares_.size(); ++k) {
+    for (int i = 0; i < 3; ++i) error()[i] -= shares_[k] * centres_[k][i];
+  }
+  double* out = jacobian_.data();
+  for (const MovedMass& part : moved_) {
+    const double* angular = mujoco_.cdof + 6 * part.dof;
+    double offset[3], moved[3];
+    for (int i = 0; i < 3; ++i) offset[i] = part.point[i] - part.robot_com[i];
+    cross(angular, offset, moved);
+    for (int i = 0; i < 3; ++i) out[i * stride_] = part.share * (angular[3 + i] + moved[i]);
+    ++out;
+  }
+  if (moves()) std::copy_n(data_.twist, 3, feedforward());
+}
+
+Coupling::Coupling(TermData data, std::vector<double> root, std::vector<double> by_coordinate,
+                   const std::vector<double>& by_dof, double offset, const MuJoCo& mujoco,
+                   const Stack& stack)
+    : RowTerm(std::move(data), std::move(root), nonzero(by_dof), mujoco, stack),
+      by_coordinate_(std::move(by_coordinate)),
+      offset_(offset) {
+  for (std::size_t k = 0; k < dofs_.size(); ++k) jacobian_[k] = by_dof[dofs_[k]];
+}
+
+void Coupling::differentiate() {
+  error()[0] = offset_ - dot(by_coordinate_.data(), mujoco_.qpos, mujoco_.nq);
+}
+
+void JointTerm::evaluate(const MuJoCo& mujoco, const Stack& stack) const {
+  double *error = stack.error + data.first, *feedforward = stack.feedforward + data.first;
+  switch (task) {
+    case JointTask::posture:
+      mujoco.call.differentiate_pos(mujoco.model, error, 1.0, mujoco.qpos, data.target);
+      break;
+    case JointTask::velocity:
+      for (int i = 0; i < mujoco.nv; ++i) error[i] = data.target[i] - stack.v_previous[i];
+      std::copy_n(data.target, mujoco.nv, feedforward);
+      break;
+    case JointTask::smooth:
+      std::copy_n(stack.v_previous, mujoco.nv, feedforward);
+      break;
+  }
+}
+
+void JointTerm::add_to(double* gradient, const double* rate) const {
+  const double* own = rate + data.first;
+  const int n = data.rows;
+  for (int i = 0; i < n; ++i) {
+    gradient[i] -= static_cast<int>(weight.size()) > n ? dot(weight.data() + i * n, own, n)
+                                                       : weight[i] * own[i];
+  }
+}
+
+}  // namespace rmrc

@@ -1,0 +1,207 @@
+// The terms of the cost: errors, Jacobians and feed-forwards, as rmrc.problem.tasks defines them.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "mujoco.hpp"
+
+namespace rmrc {
+
+/// What the terms of a problem write into and read from, arrays of Python's.
+struct Stack {
+  double* error;        // e of all terms
+  double* feedforward;  // ẋ_ff of all terms
+  double* jacobian;     // J of the terms with rows (row_count, nv)
+  const double* v_previous;  // (nv,)
+  const int* place;          // column of each dof in the program (nv,); −1 where it stands still
+};
+
+/// A part of an error that acts on its task only up to a length.
+struct Clamp {
+  int first, count;
+  double longest;
+};
+
+/// What all terms have.
+struct TermData {
+  int first, rows;             // where the term's error stands, and its length
+  double gain;                 // K, 1/s
+  const double* target;
+  const double* twist;         // the target's own velocity (6,)
+  const std::uint8_t* moving;  // whether it has one
+  std::vector<Clamp> clamps;
+};
+
+/// A site, body or geom: where MuJoCo writes its pose, and the dofs that move it.
+struct Frame {
+  const double* position;   // (3,)
+  const double* rotation;   // (9,)
+  const double* robot_com;  // (3,): the point that cdof refers to
+  std::vector<int> dofs;
+};
+
+/// A term with a Jacobian of its own, over the columns of the dofs that move it.
+class RowTerm {
+ public:
+  /// `root` is S with B = SᵀS: empty for the unit matrix, (rows,) a diagonal or (rows, rows).
+  RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs, const MuJoCo& mujoco,
+          const Stack& stack);
+  virtual ~RowTerm() = default;
+  RowTerm(const RowTerm&) = delete;
+  RowTerm& operator=(const RowTerm&) = delete;
+
+  /// Write e, ẋ_ff and J at the present kinematics, and W = S J.
+  void evaluate();
+
+  /// H ← H + WᵀW, its lower triangle, and g ← g − Wᵀ S ẋ, of a program of n variables.
+  void add_to(double* H, double* g, int n, const double* rate);
+
+  /// Copy row r of W (n,) into a row of zeros.
+  void copy_row(int r, double* row) const;
+
+  /// out = S x (rows,).
+  void weigh(const double* x, double* out) const;
+
+  /// out = J v (rows,) for v of the program (n,).
+  void multiply(const double* v, double* out) const;
+
+  /// Write the true errors, the distance and the angle, or one number twice.
+  virtual void measure(double* measures) const;
+
+  const TermData& data() const { return data_; }
+  const std::vector<double>& root() const { return root_; }
+
+ protected:
+  /// Write e, ẋ_ff where the target moves, and J by `turn` or `column`.
+  virtual void differentiate() = 0;
+
+  /// J ← T J_w, with J_w the frame's Jacobian along the world's axes and T (rows, 6).
+  void turn(const Frame& frame, const double* T);
+
+  double* error() { return stack_.error + data_.first; }
+  const double* error() const { return stack_.error + data_.first; }
+  double* feedforward() { return stack_.feedforward + data_.first; }
+  bool moves() const { return *data_.moving != 0; }
+
+  TermData data_;
+  const MuJoCo& mujoco_;
+  const Stack& stack_;
+  std::vector<int> dofs_;  // of the columns: first those that are in the program
+  int stride_;
+  std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
+
+ private:
+  std::vector<double> root_;
+  std::vector<int> columns_;  // in the program
+  int inside_;                // columns that are in the program
+  std::vector<double> weighted_;
+  std::vector<double> world_;  // (6, stride)
+};
+
+/// e = log(T_bt) and J = Jlog(T_tb) J_b: a `frame` task along the body's axes.
+class BodyFrame final : public RowTerm {
+ public:
+  BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+            const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  Frame frame_;
+};
+
+/// e = [p_t − p_b; log(R_t R_bᵀ)]: a `frame` task along the world's axes.
+class WorldFrame final : public RowTerm {
+ public:
+  WorldFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+             const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  Frame frame_;
+};
+
+/// e = −log(T_tf) of a frame in the coordinates of another: a `relative_frame` task.
+class RelativeFrame final : public RowTerm {
+ public:
+  RelativeFrame(TermData data, std::vector<double> root, Frame frame, Frame base,
+                const MuJoCo& mujoco, const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  Frame frame_, base_;
+};
+
+/// e = d − a for an axis a of a frame and the direction d of its target: `look_at`, whose target
+/// is a point, and `axis_align`, whose target is a direction.
+class Axis final : public RowTerm {
+ public:
+  Axis(TermData data, std::vector<double> root, Frame frame, const double* axis, bool at_point,
+       const MuJoCo& mujoco, const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  void look_at(double* T, double* direction);
+  void align(double* T, double* direction);
+  Frame frame_;
+  double axis_[3];
+  bool at_point_;
+};
+
+/// What a dof moves of a centre of mass: a share of the mass, whose own centre is at `point`.
+struct MovedMass {
+  int dof;
+  double share;
+  const double* point;      // (3,)
+  const double* robot_com;  // (3,)
+};
+
+/// e = c* − Σ share c_i over subtrees: a `com` task.
+class CentreOfMass final : public RowTerm {
+ public:
+  CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
+               std::vector<double> shares, std::vector<const double*> centres,
+               const MuJoCo& mujoco, const Stack& stack);
+
+ private:
+  void differentiate() override;
+  std::vector<MovedMass> moved_;
+  std::vector<double> shares_;
+  std::vector<const double*> centres_;
+};
+
+/// e = offset − Σ c_i q_i and J = c: a `coupling` task.
+class Coupling final : public RowTerm {
+ public:
+  Coupling(TermData data, std::vector<double> root, std::vector<double> by_coordinate,
+           const std::vector<double>& by_dof, double offset, const MuJoCo& mujoco,
+           const Stack& stack);
+
+ private:
+  void differentiate() override;
+  std::vector<double> by_coordinate_;
+  double offset_;
+};
+
+/// What a term on the joints themselves asks for.
+enum class JointTask { posture, velocity, smooth };
+
+/// A term whose Jacobian is the identity; its weight is in the constant part of H.
+struct JointTerm {
+  TermData data;
+  JointTask task;
+  std::vector<double> weight;  // B: (nv,) a diagonal or (nv, nv)
+
+  /// Write e and ẋ_ff.
+  void evaluate(const MuJoCo& mujoco, const Stack& stack) const;
+
+  /// gradient ← gradient − B ẋ (nv,).
+  void add_to(double* gradient, const double* rate) const;
+};
+
+}  // namespace rmrc

@@ -1,0 +1,46 @@
+"""The choice of the engine: the one place that knows there is more than one."""
+
+from typing import Literal
+
+from rmrc.config.mistakes import Mistake, config_error
+from rmrc.control.engine import PythonEngine
+from rmrc.control.methods import ClosedFormEngine
+from rmrc.control.native import NativeEngine, lacking, missing
+from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.problem import Problem
+
+Choice = Literal["auto", "python", "native"]
+Engine = PythonEngine | ClosedFormEngine
+ENGINES = ("auto", "python", "native")
+
+
+def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, ...]]:
+    """Return the engine of a problem, and what a user should know of the choice.
+
+    `auto` takes what the configuration asks for; and where that is `auto` too, the native engine
+    if it is there and has a place for all of the problem, else the Python engine.
+
+    Raises:
+        ModelError: If there is no engine of that name.
+        ConfigError: If the native engine is asked for by name and cannot run the problem.
+    """
+    if choice not in ENGINES:
+        raise ModelError(unknown_name("engine", choice, ENGINES))
+    asked = problem.config.engine if choice == "auto" else choice
+    reason = None if asked == "python" else _reason(problem)
+    if asked == "native" and reason:
+        raise config_error([Mistake(("engine",), f"native cannot run: {reason}")], problem.config)
+    if asked != "python" and not reason:
+        return NativeEngine(problem), ()
+    closed_form = problem.config.method != "qp"
+    engine = ClosedFormEngine(problem) if closed_form else PythonEngine(problem)
+    # A closed form is Python's alone: there is nothing to choose, and nothing to say.
+    return engine, (f"the Python engine runs: {reason}",) if reason and not closed_form else ()
+
+
+def _reason(problem: Problem) -> str | None:
+    """Return why the native engine cannot run a problem, or None."""
+    if reason := missing():
+        return reason
+    absent = lacking(problem)
+    return f"the native engine has no {', no '.join(absent)}" if absent else None

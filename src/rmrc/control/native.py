@@ -1,0 +1,294 @@
+"""The native engine: the step in C++, in the arrays of the Python engine that it stands in for."""
+
+import ctypes
+import math
+import os
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.control.engine import PythonEngine
+from rmrc.errors import SolverError
+from rmrc.problem.frames import FrameHandle
+from rmrc.problem.limits.ball import BallRanges
+from rmrc.problem.limits.extents import dofs_of_bodies
+from rmrc.problem.limits.workspace import WorkspacePlanes
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.axis_align import AxisAlignTerm
+from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.centering import CenteringTerm
+from rmrc.problem.tasks.com import ComTerm
+from rmrc.problem.tasks.coupling import CouplingTerm
+from rmrc.problem.tasks.frame import FrameTerm
+from rmrc.problem.tasks.freeze import FreezeTerm
+from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
+from rmrc.problem.tasks.look_at import LookAtTerm
+from rmrc.problem.tasks.posture import PostureTerm
+from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
+from rmrc.problem.tasks.smooth import SmoothTerm
+from rmrc.problem.tasks.velocity import VelocityTerm
+from rmrc.qp.assemble import square_root
+from rmrc.qp.program import KKT, Solution, SolveStatus
+
+if TYPE_CHECKING:
+    from rmrc import _native
+    from rmrc._native import Frame, TermRows
+
+_UNBUILT = ""
+try:
+    from rmrc import _native
+except ImportError as failure:
+    _UNBUILT = str(failure)
+
+Array = NDArray[np.float64]
+
+FUNCTIONS = (
+    "mj_kinematics",
+    "mj_comPos",
+    "mj_makeM",
+    "mj_fullM",
+    "mj_integratePos",
+    "mj_differentiatePos",
+)
+"""What the step calls of libmujoco, in the order in which the extension takes the addresses."""
+MOST_CHANGES = 10_000
+"""Changes of the active set that a solve may use where the configuration says nothing."""
+
+_ROWLESS = (FreezeTerm, KineticEnergyTerm)
+_JOINT = {
+    PostureTerm: "posture",
+    CenteringTerm: "posture",
+    VelocityTerm: "velocity",
+    SmoothTerm: "smooth",
+}
+_ROWS = (FrameTerm, RelativeFrameTerm, LookAtTerm, AxisAlignTerm, ComTerm, CouplingTerm)
+_NONE = np.zeros(0)
+
+
+@cache
+def addresses() -> tuple[int, ...]:
+    """Return where the functions of the libmujoco stand that the Python package has loaded.
+
+    Raises:
+        SolverError: If the package's library is not found.
+    """
+    folder = Path(mujoco.__file__).parent
+    files = [path for name in ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")
+             for path in folder.glob(name)]  # fmt: skip
+    # The library that is there already, never a second one.
+    mode = getattr(os, "RTLD_NOLOAD", 0) | getattr(os, "RTLD_NOW", 0)
+    for path in files:
+        try:
+            library = ctypes.CDLL(str(path), mode=mode)
+            found = [ctypes.cast(getattr(library, name), ctypes.c_void_p) for name in FUNCTIONS]
+        except (OSError, AttributeError):
+            continue
+        return tuple(pointer.value or 0 for pointer in found)
+    raise SolverError(f"no library of MuJoCo's with {', '.join(FUNCTIONS)} is in {folder}")
+
+
+def missing() -> str | None:
+    """Return why the native engine cannot run on this machine at all, or None."""
+    if _UNBUILT:
+        return f"the native extension is not there ({_UNBUILT})"
+    try:
+        addresses()
+    except SolverError as failure:
+        return str(failure)
+    return None
+
+
+def lacking(problem: Problem) -> list[str]:
+    """Return what of a problem the native engine has no place for."""
+    config, found = problem.config, []
+    if config.method != "qp":
+        found.append(f"method {config.method}")
+    for term in problem.terms:
+        if not isinstance(term, (*_ROWLESS, *_ROWS)) and type(term) not in _JOINT:
+            found.append(f"task '{term.name}' ({term.type})")
+        elif term.hard:
+            found.append(f"hard task '{term.name}'")
+        elif term.preserve:
+            found.append(f"task '{term.name}' that preserves its direction")
+    if problem.strict:
+        found.append("strict levels")
+    kinds = {BallRanges: "ranges of ball joints", WorkspacePlanes: "workspace limits"}
+    found += [kinds.get(type(limit), "collision limits") for limit in problem.barriers]
+    found += ["speed limits"] * bool(problem.speeds)
+    found += [f"{type(task).__name__} of mink's" for task in problem.mink_tasks]
+    found += [f"{type(limit).__name__} of mink's" for limit in problem.mink_limits]
+    if config.solver.backend != "daqp":
+        found.append(f"backend {config.solver.backend}")
+    if config.solver.tolerance is not None:
+        found.append("a tolerance of the backend's")
+    return list(dict.fromkeys(found))
+
+
+class NativeEngine(PythonEngine):
+    """Does `solve` in C++; what is asked for later, as for an explanation, is the Python engine's.
+
+    Errors, feed-forwards, Jacobians, ẋ and the program are written where the Python engine would
+    have written them. It solves with an active-set method of its own (see native/README.md).
+    """
+
+    name = "native"
+
+    def __init__(self, problem: Problem):
+        super().__init__(problem)
+        self.backend = self.name
+        self._damped = False
+        model, data, evaluation = problem.model, self.evaluation.data, self.evaluation
+        assembly, qp, box = self.assembly, self.assembly.qp, problem.box
+        self._moves = dofs_of_bodies(model)
+        self._moving = np.frombuffer(evaluation.moving, dtype=np.uint8)
+        self._native = _native.Engine(
+            functions=addresses(),
+            model=model._address,
+            data=data._address,
+            qpos=data.qpos,
+            cdof=data.cdof,
+            error=evaluation.error,
+            feedforward=evaluation.feedforward,
+            rate=assembly.rate,
+            jacobian=evaluation.jacobian,
+            v_previous=evaluation.v_previous,
+            a_previous=evaluation.a_previous,
+            dofs=problem.dofs.tolist(),
+            hessian=assembly.constant.ravel().tolist(),
+            unit=assembly.unit,
+            inertia=problem.inertia,
+            floor=problem.damping**2,
+            limits=(
+                box.coordinate.tolist(),
+                box.lower.tolist(),
+                box.upper.tolist(),
+                box.gain,
+                box.velocity.tolist(),
+                box.acceleration.tolist(),
+                box.jerk.tolist(),
+            ),
+            H=qp.H,
+            g=qp.g,
+            lb=qp.lb,
+            ub=qp.ub,
+            max_iter=problem.config.solver.max_iter or MOST_CHANGES,
+        )
+        for term in evaluation.terms:
+            self._add(term)
+        self._adapt()
+
+    def _add(self, term: Term) -> None:
+        """Hand a term to the extension."""
+        native, weight = self._native, self.assembly.leveled(term)
+        if type(term) in _JOINT:
+            native.add_joint_task(self._rows_of(term, weight), _JOINT[type(term)])
+            return
+        rows = self._rows_of(term, square_root(weight))
+        match term:
+            case FrameTerm():
+                native.add_frame(rows, self._frame(term.frame), term.axes == "world")
+            case RelativeFrameTerm():
+                native.add_relative(rows, self._frame(term.frame), self._frame(term.root))
+            case LookAtTerm():
+                native.add_axis(rows, self._frame(term.frame), term.axis.tolist(), True)
+            case AxisAlignTerm():
+                native.add_axis(rows, self._frame(term.frame), term.axis.tolist(), False)
+            case ComTerm():
+                native.add_com(rows, *self._masses(term))
+            case CouplingTerm():
+                by_coordinate, by_dof = term.by_coordinate.tolist(), term.by_dof.tolist()
+                native.add_coupling(rows, by_coordinate, by_dof, term.offset)
+            case _:
+                raise SolverError(f"the native engine has no task of type {term.type}")
+
+    def _rows_of(self, term: Term, root: Array) -> "TermRows":
+        """Return what all terms have: `root` is S, or B of a term on the joints themselves."""
+        evaluation, at = self.evaluation, self.evaluation.index[term.name]
+        return _native.TermRows(
+            first=evaluation.slice_of(term.name).start,
+            count=term.rows,
+            gain=term.gain,
+            root=root.ravel().tolist(),
+            target=evaluation.target[term.name],
+            twist=evaluation.twist[term.name],
+            moving=self._moving[at : at + 1],
+            clamps=[
+                (first, last - first, longest)
+                for part, longest in term.clamps
+                for first, last, _ in (part.indices(term.rows),)
+            ],
+        )
+
+    def _frame(self, frame: FrameHandle) -> "Frame":
+        model, data = self.problem.model, self.evaluation.data
+        owners = {"site": model.site_bodyid, "geom": model.geom_bodyid}
+        body = frame.id if frame.kind == "body" else int(owners[frame.kind][frame.id])
+        position, rotation = frame.views(data)
+        com = data.subtree_com[model.body_rootid[body]]
+        return _native.Frame(position, rotation, com, np.flatnonzero(self._moves[body]).tolist())
+
+    def _masses(
+        self, term: ComTerm
+    ) -> tuple[list[tuple[int, float, Array, Array]], list[tuple[float, Array]]]:
+        """Return what each dof moves of the mass, and the subtrees with their shares."""
+        model, com = self.problem.model, self.evaluation.data.subtree_com
+        moved = []
+        for dof, body in enumerate(model.dof_bodyid.tolist()):
+            for root, share in term.shares:
+                if not share:
+                    continue
+                if body in self._ancestors(root):  # it moves all of the subtree
+                    part, inner = root, share
+                elif root in self._ancestors(body):
+                    part = body
+                    inner = share * model.body_subtreemass[body] / model.body_subtreemass[root]
+                else:
+                    continue
+                moved.append((dof, float(inner), com[part], com[model.body_rootid[body]]))
+        return moved, [(share, com[root]) for root, share in term.shares]
+
+    def _ancestors(self, body: int) -> set[int]:
+        """Return a body and those that it hangs on, but for the world."""
+        found = set()
+        while body:
+            found.add(body)
+            body = int(self.problem.model.body_parentid[body])
+        return found
+
+    def _adapt(self) -> None:
+        """Hand the rule of the damping to the extension."""
+        adaptive, damping = self.assembly.adaptive, self.problem.config.damping
+        if not adaptive.adapts:
+            return
+        starts = [self.evaluation.slice_of(term.name).start for term in self.evaluation.terms]
+        rows = []
+        for row in adaptive.rows.tolist():
+            term = int(np.searchsorted(starts, row, side="right")) - 1
+            rows.append((term, row - starts[term]))
+        self._native.adapt(
+            damping.adapt, damping.threshold, damping.largest, adaptive.rank, adaptive.scale, rows
+        )
+
+    @property
+    def damped(self) -> bool:
+        """Whether the damping of the last step was above its floor."""
+        return self._damped
+
+    def reset(self) -> None:
+        """Forget the last solution, so that the next solve starts cold."""
+        self._native.forget()
+
+    def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
+        """Return the solution at q (nq,) for a step of dt seconds, or the brake."""
+        self.evaluation.v_previous[:] = v_previous
+        seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
+        both = np.empty((2, self.problem.dofs.size))
+        status, iterations, *kkt, self.outside, self._damped = self._native.solve(
+            q, dt, seconds, both
+        )
+        return Solution(both[0], both[1], _NONE, _NONE, iterations, SolveStatus(status), KKT(*kkt))

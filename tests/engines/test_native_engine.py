@@ -1,0 +1,285 @@
+"""The native engine against the Python one, which is its specification, step by step.
+
+Its C++ tests, for the sanitizers and for memory, are in `native/tests`.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rmrc
+from models import REPOSITORY, ROBOTS, config, scene_path
+from rmrc import Problem
+from rmrc.control.engines import build_engine
+from rmrc.control.native import NativeEngine, lacking, missing
+from rmrc.control.step import ACTIVE_MULTIPLIER
+from rmrc.qp.program import Solution
+
+Array = NDArray[np.float64]
+
+pytestmark = pytest.mark.skipif(missing() is not None, reason=f"no native engine: {missing()}")
+
+SAME = 1e-8
+"""Of v, relative to its largest element: two solvers, and kinematics that round differently."""
+LEAST_RATE = 1e-3
+"""rad/s or m/s: a v below it is compared as it is, for 1e-8 of it is below the rounding of q/dt."""
+TIE = 1e-6
+"""A multiplier this small may be that of a limit that is only just active."""
+STEPS, NEW_TARGETS = 400, 100
+
+PANDA = str(REPOSITORY / "scenes" / "panda.xml")
+BIPED = str(REPOSITORY / "scenes" / "biped.xml")
+HAND: dict[str, Any] = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}
+LEFT: dict[str, Any] = {"name": "left", "type": "frame", "frame": {"site": "left_hand"}}
+FULL = (np.eye(6) + 0.3 * np.ones((6, 6))).tolist()
+ROUGH = {"velocity": {"default": 1.0}, "acceleration": {"default": 8.0}}
+
+
+def engines(
+    problem: Problem, steps: int, moving: bool
+) -> Iterator[tuple[Any, NativeEngine, Solution]]:
+    """Run a controller with the Python engine beside a native one that is fed the same."""
+    controller, native = rmrc.Controller(problem, engine="python"), NativeEngine(problem)
+    evaluation, twin = controller.engine.evaluation, native.evaluation
+    rng = np.random.default_rng(0)
+    for k in range(steps):
+        if k % NEW_TARGETS == 0:
+            scatter_targets(controller, rng, moving)
+        twin.targets[:], twin.twists[:] = evaluation.targets, evaluation.twists
+        twin.moving[:], twin.a_previous[:] = evaluation.moving, controller._a
+        q, v = controller.q, controller._v.copy()
+        step = controller.step()
+        yield step, native, native.solve(q, v, problem.dt)
+
+
+def scatter_targets(controller: rmrc.Controller, rng: np.random.Generator, moving: bool) -> None:
+    """Move every target by up to 0.3 m and about 0.3 rad, with a velocity or at rest."""
+    for name, term in controller.problem.term.items():
+        twist = rng.normal(size=6) * 0.1
+        if term.target_kind == "pose":
+            turned = term.target[:4] + 0.15 * rng.normal(size=4)
+            place = term.target[4:] + rng.uniform(-0.3, 0.3, 3)
+            velocity = twist if moving else None
+            assert controller.set_target(name, place, turned, velocity)
+        elif term.target_kind == "point":
+            place = term.target + rng.uniform(-0.3, 0.3, 3)
+            assert controller.set_target(name, place, velocity=twist[:3] if moving else None)
+        elif term.target_kind == "direction":
+            velocity = twist[3:] if moving else None
+            direction = term.target + 0.3 * rng.normal(size=3)
+            assert controller.set_target(name, direction=direction, velocity=velocity)
+
+
+def assert_equal(problem: Problem, steps: int = STEPS, moving: bool = False) -> None:
+    """Hold the native engine to the Python one over a run."""
+    assert lacking(problem) == []
+    for step, native, solution in engines(problem, steps, moving):
+        expected, python = step.solution, step.moment.engine
+        largest = max(float(np.abs(expected.v).max()), LEAST_RATE)
+        assert np.abs(solution.v - expected.v).max() <= SAME * largest
+        assert solution.status is expected.status
+        assert (native.outside, native.damped) == (python.outside, python.damped)
+        z, other = solution.bound_multiplier, expected.bound_multiplier
+        differs = (np.abs(z) > ACTIVE_MULTIPLIER) != (np.abs(other) > ACTIVE_MULTIPLIER)
+        assert np.abs(z - other)[differs].max(initial=0.0) < TIE
+        np.testing.assert_allclose(
+            native.evaluation.error, python.evaluation.error, rtol=0.0, atol=1e-9
+        )
+
+
+def shipped() -> list[str]:
+    return sorted(path.name for path in (REPOSITORY / "configs").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("moving", [False, True], ids=["targets rest", "targets move"])
+def test_shipped_configs(name: str, moving: bool, request: pytest.FixtureRequest) -> None:
+    if name.startswith("menagerie"):
+        request.getfixturevalue("menagerie")
+    problem = rmrc.compile(rmrc.load(REPOSITORY / "configs" / name))
+    if absent := lacking(problem):
+        pytest.skip(f"the native engine has no {absent[0]}")
+    assert_equal(problem, moving=moving)
+
+
+TASKS: dict[str, list[dict[str, Any]]] = {
+    "world axes": [{**HAND, "axes": "world"}],
+    "full weight": [{**HAND, "B": FULL}],
+    "full weight, world axes": [{**HAND, "B": FULL, "axes": "world"}],
+    "weights of halves": [{**HAND, "B": {"position": 4.0, "orientation": 0.0}}],
+    "clamps": [{**HAND, "clamp": {"position": 0.02, "orientation": 0.05}}],
+    "deadbeat": [{**HAND, "gain": "deadbeat"}],
+    "body and geom": [
+        {**HAND, "frame": {"body": "link7"}},
+        {"name": "elbow", "type": "com", "body": "link4", "B": 0.3, "clamp": 0.05},
+    ],
+    "relative": [
+        {"name": "pair", "type": "relative_frame", "frame": {"site": "hand"},
+         "root": {"body": "link4"}, "clamp": {"position": 0.05}}
+    ],
+    "look at": [
+        {**HAND, "B": {"position": 1.0, "orientation": 0.0}},
+        {"name": "gaze", "type": "look_at", "frame": {"site": "hand"}, "B": 0.5},
+    ],
+    "axis": [
+        {**HAND, "B": {"position": 1.0, "orientation": 0.0}},
+        {"name": "up", "type": "axis_align", "frame": {"body": "link6"}, "axis": [0, 1, 0]},
+    ],
+    "joints": [
+        HAND,
+        {"name": "posture", "type": "posture", "level": 1, "B": (2.0 * np.eye(7)).tolist()},
+        {"name": "rates", "type": "velocity", "target": {"joint1": 0.3}, "B": 0.1},
+        {"name": "calm", "type": "smooth", "B": 0.2},
+        {"name": "middle", "type": "centering", "level": 2},
+        {"name": "light", "type": "kinetic_energy", "B": 0.01},
+        {"name": "still", "type": "freeze", "joints": ["joint3"]},
+    ],
+    "coupling": [
+        HAND,
+        {"name": "pair", "type": "coupling", "coefficients": {"joint2": 1.0, "joint4": 0.5},
+         "offset": 0.2, "hard": False},
+    ],
+}  # fmt: skip
+OPTIONS: dict[str, dict[str, Any]] = {
+    "velocity": {},
+    "acceleration": {"limits": ROUGH},
+    "jerk": {"limits": {**ROUGH, "jerk": {"default": 200.0}}},
+    "no limits": {"limits": {"velocity": "off", "position": "off"}},
+    "some dofs": {"dofs": ["joint2", "joint4", "joint5", "joint6"]},
+}
+
+
+@pytest.mark.parametrize("tasks", TASKS)
+@pytest.mark.parametrize("options", OPTIONS)
+def test_every_task_within_every_limit(tasks: str, options: str) -> None:
+    problem = rmrc.compile(config(PANDA, TASKS[tasks], dt=0.005, **OPTIONS[options]))
+    assert_equal(problem, steps=200, moving=options in ("jerk", "some dofs"))
+
+
+METRICS: dict[str, dict[str, Any]] = {
+    "number": {"metric": 0.3},
+    "diagonal": {"metric": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]},
+    "inertia": {"metric": "inertia"},
+    "sigma_min": {"damping": {"lambda": 0.01, "adapt": "sigma_min", "threshold": 0.5}},
+    "manipulability": {"damping": {"lambda": 0.01, "adapt": "manipulability", "threshold": 0.5}},
+    "error": {"damping": {"lambda": 0.01, "adapt": "error"}},
+}
+
+
+@pytest.mark.parametrize("options", METRICS)
+@pytest.mark.parametrize("weight", [1.0, {"position": 1.0, "orientation": 0.0}, FULL])
+def test_metrics_and_damping(options: str, weight: Any) -> None:
+    tasks = [{**HAND, "B": weight}, {"name": "posture", "type": "posture", "level": 1}]
+    assert_equal(rmrc.compile(config(PANDA, tasks, **METRICS[options])))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_robots_of_one_to_many_dofs(robot: str, tmp_path: Path) -> None:
+    site, other = ROBOTS[robot]
+    tasks = [
+        {**HAND, "frame": {"site": site}},
+        {"name": "other", "type": "frame", "frame": other, "B": 0.1, "axes": "world"},
+        {"name": "com", "type": "com", "B": 0.2},
+        {"name": "posture", "type": "posture", "B": 1e-3},
+    ]
+    assert_equal(rmrc.compile(config(scene_path(robot, tmp_path), tasks)), moving=True)
+
+
+MENAGERIE = {
+    "panda": ("franka_emika_panda/panda_nohand", {"site": "attachment_site"}),
+    "ur5e": ("universal_robots_ur5e/ur5e", {"site": "attachment_site"}),
+    "iiwa": ("kuka_iiwa_14/iiwa14", {"site": "attachment_site"}),
+    "g1": ("unitree_g1/g1", {"site": "left_palm"}),
+    "aloha": ("aloha/aloha", {"site": "left/gripper"}),
+}
+
+
+@pytest.mark.parametrize("robot", MENAGERIE)
+def test_real_robots(robot: str, menagerie: Path) -> None:
+    scene, frame = MENAGERIE[robot]
+    tasks = [{**HAND, "frame": frame}, {"name": "posture", "type": "posture", "B": 0.01}]
+    problem = rmrc.compile(config(f"menagerie:{scene}", tasks, limits=ROUGH))
+    assert_equal(problem, steps=2000)
+
+
+def test_runs_are_the_same_bit_by_bit() -> None:
+    runs = []
+    for _ in range(2):
+        problem = rmrc.compile(config(BIPED, [LEFT, {"name": "com", "type": "com"}], limits=ROUGH))
+        runs.append([solution.v for _, _, solution in engines(problem, STEPS, moving=True)])
+    assert np.array_equal(*runs)
+
+
+def test_a_number_that_is_not_finite_ends_in_the_brake() -> None:
+    problem = rmrc.compile(config(PANDA, [HAND], limits=ROUGH))
+    native, v = NativeEngine(problem), np.full(7, 0.5)
+    native.evaluation.target["hand"][4] = np.nan
+    solution = native.solve(problem.start, v, problem.dt)
+    assert solution.status.value == "failed"
+    assert solution.v == pytest.approx(np.full(7, 0.5 - 8.0 * problem.dt), abs=1e-12)
+    native.evaluation.target["hand"][4] = 0.4
+    assert native.solve(problem.start, v, problem.dt).status.value == "solved"
+
+
+def test_without_time_or_iterations_v_is_a_feasible_point() -> None:
+    tight = {"velocity": {"default": 0.2}}
+    problem = rmrc.compile(config(PANDA, [HAND], limits=tight, solver={"max_iter": 1}))
+    native = NativeEngine(problem)
+    native.evaluation.target["hand"][4:] = [0.2, 0.6, 0.3]
+    solution = native.solve(problem.start, np.zeros(7), problem.dt)
+    assert solution.status.value == "max_iter"
+    assert np.abs(solution.v).max() <= 0.2
+    native.deadline = 0.0  # long past
+    solution = native.solve(problem.start, np.zeros(7), problem.dt)
+    assert solution.status.value == "time_limit"
+    assert np.abs(solution.v).max() <= 0.2
+
+
+def test_auto_takes_the_native_engine_where_it_can() -> None:
+    problem = rmrc.compile(config(PANDA, [HAND]))
+    assert rmrc.Controller(problem).engine.name == "native"
+    assert rmrc.Controller(problem).notices == ()
+    assert rmrc.Controller(problem, engine="python").engine.name == "python"
+    named = rmrc.compile(config(PANDA, [HAND], engine="python"))
+    assert rmrc.Controller(named).engine.name == "python"
+    assert rmrc.Controller(named, engine="native").engine.name == "native"
+
+
+LACKING: dict[str, dict[str, Any]] = {
+    "strict levels": {"priority": "strict"},
+    "workspace limits": {
+        "limits": {"workspace": [{"frame": {"site": "hand"}, "normal": [0, 0, 1], "offset": 0.0}]}
+    },
+    "speed limits": {"limits": {"speed": {"hand": {"linear": 0.5}}}},
+    "backend osqp": {"solver": {"backend": "osqp"}},
+}
+
+
+@pytest.mark.parametrize("what", LACKING)
+def test_what_it_lacks_is_named(what: str) -> None:
+    problem = rmrc.compile(config(PANDA, [HAND], **LACKING[what]))
+    engine, notices = build_engine(problem, "auto")
+    assert engine.name == "python"
+    assert notices == (f"the Python engine runs: the native engine has no {what}",)
+    with pytest.raises(rmrc.ConfigError, match=f"native cannot run.*no {what}"):
+        build_engine(problem, "native")
+
+
+def test_a_task_that_it_lacks_is_named() -> None:
+    task = {"name": "agile", "type": "manipulability", "frame": {"site": "hand"}}
+    with pytest.raises(rmrc.ConfigError, match=r"no task 'agile' \(manipulability\)"):
+        rmrc.Controller(rmrc.compile(config(PANDA, [HAND, task], engine="native")))
+
+
+def test_the_manifest_says_which_engine_ran() -> None:
+    run = rmrc.solve(config(PANDA, [HAND], duration=0.01))
+    assert (run.summary["engine"], run.summary["backend"]) == ("native", "native")
+    run = rmrc.solve(config(PANDA, [HAND], duration=0.01, priority="strict"))
+    assert (run.summary["engine"], run.summary["backend"]) == ("python", "daqp")
+    assert (
+        "the Python engine runs: the native engine has no strict levels" in run.manifest["notices"]
+    )
