@@ -5,7 +5,15 @@
 
 namespace rmrc {
 
+class Engine;
+
 /// Add the engine and what it is built from.
 void bind_engine(nanobind::module_& m);
+
+/// Add what takes a controller's steps.
+void bind_stepper(nanobind::module_& m);
+
+/// Return the engine of a Python `Engine`, which lives as long as that.
+Engine& engine_of(nanobind::handle object);
 
 }  // namespace rmrc

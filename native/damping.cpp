@@ -13,7 +13,8 @@ namespace rmrc {
 namespace {
 
 constexpr int sweeps = 30;
-constexpr double orthogonal = 4.0 * std::numeric_limits<double>::epsilon();  // cosine of two vectors
+// Largest cosine of two vectors that are orthogonal but for rounding.
+constexpr double orthogonal = 4.0 * std::numeric_limits<double>::epsilon();
 
 }  // namespace
 
@@ -58,7 +59,7 @@ double Damping::error_square(const std::vector<std::unique_ptr<RowTerm>>& terms,
   return sum * rule_.scale * rule_.scale;
 }
 
-// One-sided Jacobi: rotations make the vectors orthogonal, and their lengths are the singular values.
+// One-sided Jacobi: rotations make the vectors orthogonal; their lengths are the singular values.
 void Damping::find_singular_values(const std::vector<std::unique_ptr<RowTerm>>& terms) {
   const int size = static_cast<int>(row_.size());
   for (std::size_t r = 0; r < rows_.size(); ++r) {

@@ -35,7 +35,8 @@ class Damping {
 
  private:
   void find_singular_values(const std::vector<std::unique_ptr<RowTerm>>& terms);
-  double error_square(const std::vector<std::unique_ptr<RowTerm>>& terms, const double* error) const;
+  double error_square(const std::vector<std::unique_ptr<RowTerm>>& terms,
+                      const double* error) const;
 
   DampingRule rule_;
   std::vector<TaskedRow> rows_;

@@ -30,6 +30,22 @@ Ending ending_of(Status status) {
 
 }  // namespace
 
+const char* name_of(Ending ending) {
+  switch (ending) {
+    case Ending::solved:
+      return "solved";
+    case Ending::max_iter:
+      return "max_iter";
+    case Ending::time_limit:
+      return "time_limit";
+    case Ending::infeasible:
+      return "infeasible";
+    case Ending::failed:
+      break;
+  }
+  return "failed";
+}
+
 Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& program,
                Constants constants, JointLimits limits, int max_iterations)
     : mujoco_(mujoco),

@@ -38,6 +38,9 @@ struct Constants {
 /// How a step ended: as in rmrc.qp.program.SolveStatus.
 enum class Ending { solved, max_iter, time_limit, infeasible, failed };
 
+/// The value of that SolveStatus.
+const char* name_of(Ending ending);
+
 /// Solves one step after the other, each from the active set of the last.
 ///
 /// The specification is rmrc.control.engine.PythonEngine without rows and equalities. All memory is
@@ -79,6 +82,9 @@ class Engine {
   double added_damping() const { return added_; }
   bool damped() const;
 
+  /// Whether the present step's time is not over.
+  bool in_time() const { return !limited_ || Clock::now() < end_; }
+
  private:
   using Clock = std::chrono::steady_clock;
 
@@ -90,7 +96,6 @@ class Engine {
   void add_inertia();
   Ending attempt();
   bool trusted(Ending ending) const;
-  bool in_time() const { return !limited_ || Clock::now() < end_; }
   void brake();
 
   MuJoCo mujoco_;

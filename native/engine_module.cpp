@@ -42,22 +42,6 @@ Function function(std::uintptr_t address) {
   return reinterpret_cast<Function>(address);
 }
 
-const char* name(Ending ending) {
-  switch (ending) {
-    case Ending::solved:
-      return "solved";
-    case Ending::max_iter:
-      return "max_iter";
-    case Ending::time_limit:
-      return "time_limit";
-    case Ending::infeasible:
-      return "infeasible";
-    case Ending::failed:
-      break;
-  }
-  return "failed";
-}
-
 // The parts that Python names, with the arrays that they point into.
 struct RowsArgument {
   TermData data;
@@ -280,11 +264,13 @@ nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
   std::copy_n(engine.v(), n, solution.data());
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
-  return nb::make_tuple(name(ending), engine.iterations(), kkt.primal, kkt.dual,
+  return nb::make_tuple(name_of(ending), engine.iterations(), kkt.primal, kkt.dual,
                         kkt.complementarity, engine.outside(), engine.damped());
 }
 
 }  // namespace
+
+Engine& engine_of(nb::handle object) { return *nb::cast<BoundEngine&>(object); }
 
 void bind_engine(nb::module_& m) {
   nb::class_<RowsArgument>(m, "TermRows", "What all terms of an engine have.")

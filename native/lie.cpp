@@ -11,6 +11,11 @@ namespace {
 // operations: what they round off is part of the result that is to be the same.
 constexpr double nothing = 1e-10;
 
+void set_unit(double* A) noexcept {
+  std::fill_n(A, 9, 0.0);
+  A[0] = A[4] = A[8] = 1.0;
+}
+
 void skew(const double* v, double* out) noexcept {
   out[0] = out[4] = out[8] = 0.0;
   out[1] = -v[2];
@@ -21,10 +26,38 @@ void skew(const double* v, double* out) noexcept {
   out[7] = v[0];
 }
 
+// θ = ‖ω‖ with its sine and cosine.
+struct Angle {
+  explicit Angle(const double* omega)
+      : square(dot3(omega, omega)),
+        theta(std::sqrt(square)),
+        sine(std::sin(theta)),
+        cosine(std::cos(theta)) {}
+
+  double square, theta, sine, cosine;
+};
+
+// Jl⁻¹(ω) of SO(3).
+void inverse_left_jacobian(const double* omega, const Angle& angle, double* out) noexcept {
+  const double beta =
+      (1.0 - angle.theta * angle.sine / (2.0 * (1.0 - angle.cosine))) / angle.square;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) out[3 * i + j] = beta * omega[i] * omega[j];
+    out[4 * i] += 1.0 - beta * angle.square;
+  }
+  out[1] += 0.5 * omega[2];
+  out[2] -= 0.5 * omega[1];
+  out[3] -= 0.5 * omega[2];
+  out[5] += 0.5 * omega[0];
+  out[6] += 0.5 * omega[1];
+  out[7] -= 0.5 * omega[0];
+}
+
 // Q of the left Jacobian [J Q; 0 J] of SE(3): Barfoot, State Estimation for Robotics, eq. 7.86.
-void coupling_block(const double* rho, const double* omega, double square, double* Q) noexcept {
+void coupling_block(const double* rho, const double* omega, const Angle& angle,
+                    double* Q) noexcept {
   // Near θ = 0 these lose digits, and are to lose the same as in the Python engine: as they stand.
-  const double theta = std::sqrt(square), sine = std::sin(theta), cosine = std::cos(theta);
+  const double square = angle.square, theta = angle.theta, sine = angle.sine, cosine = angle.cosine;
   const double fourth = square * square;
   const double b = (theta - sine) / (square * theta);
   const double c = (1.0 - 0.5 * square - cosine) / fourth;
@@ -91,19 +124,22 @@ void matrix_of(const double* quaternion, double* R) noexcept {
 
 void quaternion_of(const double* R, double* quaternion) noexcept {
   // 4w², 4x², 4y², 4z²: the root of the largest loses no digits, and the others follow from it.
-  const double squares[4] = {1.0 + R[0] + R[4] + R[8], 1.0 + R[0] - R[4] - R[8],
-                             1.0 - R[0] + R[4] - R[8], 1.0 - R[0] - R[4] + R[8]};
+  const double trace = R[0] + R[4] + R[8];
+  const double squares[4] = {trace + 1.0, 1.0 + R[0] - R[4] - R[8], 1.0 + R[4] - R[0] - R[8],
+                             1.0 + R[8] - R[0] - R[4]};
   const double wx = R[7] - R[5], wy = R[2] - R[6], wz = R[3] - R[1];
   const double xy = R[1] + R[3], xz = R[2] + R[6], yz = R[5] + R[7];
-  const double products[4][4] = {{squares[0], wx, wy, wz},
-                                 {wx, squares[1], xy, xz},
-                                 {wy, xy, squares[2], yz},
-                                 {wz, xz, yz, squares[3]}};
-  const int k = squares[0] > 1.0 ? 0 : static_cast<int>(std::max_element(squares, squares + 4) - squares);
-  const double* row = products[k];
-  const double norm =
-      std::sqrt(row[0] * row[0] + row[1] * row[1] + row[2] * row[2] + row[3] * row[3]);
-  for (int i = 0; i < 4; ++i) quaternion[i] = row[i] / norm;
+  const double products[4][4] = {{0.0, wx, wy, wz}, {wx, 0.0, xy, xz}, {wy, xy, 0.0, yz},
+                                 {wz, xz, yz, 0.0}};
+  const auto largest = std::max_element(squares + 1, squares + 4) - squares;
+  const int k = trace > 0.0 ? 0 : static_cast<int>(largest);
+  const double twice = 2.0 * std::sqrt(squares[k]);
+  for (int i = 0; i < 4; ++i) quaternion[i] = products[k][i] / twice;
+  quaternion[k] = 0.25 * twice;
+  double square = 0.0;
+  for (int i = 0; i < 4; ++i) square += quaternion[i] * quaternion[i];
+  const double scale = 1.0 / std::sqrt(square);
+  for (int i = 0; i < 4; ++i) quaternion[i] *= scale;
 }
 
 void conjugate_multiply(const double* a, const double* b, double* out) noexcept {
@@ -147,35 +183,25 @@ void log_motion(const double* quaternion, const double* translation, double* twi
   for (int i = 0; i < 3; ++i) twist[i] = translation[i] - 0.5 * once[i] + factor * twice[i];
 }
 
-void inverse_left_jacobian(const double* omega, double* out) noexcept {
-  const double square = dot3(omega, omega), theta = std::sqrt(square);
-  const double beta = theta < nothing
-                          ? 1.0 / 12.0
-                          : (1.0 - theta * std::sin(theta) / (2.0 * (1.0 - std::cos(theta)))) / square;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) out[3 * i + j] = beta * omega[i] * omega[j];
-    out[4 * i] += 1.0 - beta * square;
+void inverse_left_jacobian(const double* omega, double* A) noexcept {
+  if (dot3(omega, omega) < nothing) {
+    set_unit(A);
+  } else {
+    inverse_left_jacobian(omega, Angle(omega), A);
   }
-  out[1] += 0.5 * omega[2];
-  out[2] -= 0.5 * omega[1];
-  out[3] -= 0.5 * omega[2];
-  out[5] += 0.5 * omega[0];
-  out[6] += 0.5 * omega[1];
-  out[7] -= 0.5 * omega[0];
 }
 
 void inverse_left_jacobian_motion(const double* twist, double* A, double* B) noexcept {
   const double* omega = twist + 3;
-  const double square = dot3(omega, omega);
-  if (square < nothing) {
-    std::fill_n(A, 9, 0.0);
+  if (dot3(omega, omega) < nothing) {
+    set_unit(A);
     std::fill_n(B, 9, 0.0);
-    A[0] = A[4] = A[8] = 1.0;
     return;
   }
+  const Angle angle(omega);
   double Q[9], AQ[9];
-  inverse_left_jacobian(omega, A);
-  coupling_block(twist, omega, square, Q);
+  inverse_left_jacobian(omega, angle, A);
+  coupling_block(twist, omega, angle, Q);
   multiply3(A, Q, AQ);
   multiply3(AQ, A, B);
   for (int k = 0; k < 9; ++k) B[k] = -B[k];

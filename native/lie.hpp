@@ -48,8 +48,8 @@ void log_rotation(const double* quaternion, double* omega, double least) noexcep
 /// e = log(T) of the motion T with this rotation and translation.
 void log_motion(const double* quaternion, const double* translation, double* twist) noexcept;
 
-/// Jl⁻¹(ω), the inverse of the left Jacobian of SO(3); Jr⁻¹(ω) is its transpose.
-void inverse_left_jacobian(const double* omega, double* out) noexcept;
+/// A = Jl⁻¹(ω), the inverse of the left Jacobian of SO(3); Jr⁻¹(ω) is its transpose.
+void inverse_left_jacobian(const double* omega, double* A) noexcept;
 
 /// The two blocks of the inverse of the left Jacobian of SE(3) at a twist, [A B; 0 A].
 ///

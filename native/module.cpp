@@ -98,4 +98,5 @@ NB_MODULE(_native, m) {
            "Raises ValueError where shapes do not fit.")
       .def("forget", &rmrc::QPSolver::forget, "Start the next solve cold.");
   rmrc::bind_engine(m);
+  rmrc::bind_stepper(m);
 }

@@ -42,6 +42,7 @@ std::vector<int> united(const std::vector<int>& a, const std::vector<int>& b) {
   for (const int dof : b) {
     if (std::find(a.begin(), a.end(), dof) == a.end()) all.push_back(dof);
   }
+  std::sort(all.begin(), all.end());
   return all;
 }
 
@@ -125,27 +126,39 @@ void RowTerm::weigh(const double* x, double* out) const {
 }
 
 void RowTerm::add_to(double* H, double* g, int n, const double* rate) {
-  const int rows = data_.rows;
   double wanted[6];
   weigh(rate + data_.first, wanted);
+  switch (data_.rows) {
+    case 6:
+      return add_rows<6>(H, g, n, wanted);
+    case 3:
+      return add_rows<3>(H, g, n, wanted);
+    default:
+      return add_rows<1>(H, g, n, wanted);
+  }
+}
+
+template <int rows>
+void RowTerm::add_rows(double* H, double* g, int n, const double* wanted) const {
   const double* W = weighted_.data();
   for (int i = 0; i < inside_; ++i) {
+    double own[rows], pull = 0.0;
+    for (int r = 0; r < rows; ++r) {
+      own[r] = W[r * stride_ + i];
+      pull += own[r] * wanted[r];
+    }
+    g[columns_[i]] -= pull;
     double* row = H + columns_[i] * n;
     for (int k = 0; k <= i; k += 4) {
-      Quad sums{};
-      for (int r = 0; r < rows; ++r) sums += W[r * stride_ + i] * load(W + r * stride_ + k);
-      double products[4];
-      store(sums, products);
-      for (int l = k; l <= std::min(k + 3, i); ++l) {
-        // Of the two places the one below the diagonal: columns may come in any order.
-        double* at = columns_[l] <= columns_[i] ? row + columns_[l]
-                                                : H + columns_[l] * n + columns_[i];
-        *at += products[l - k];
+      Quad sums = own[0] * load(W + k);
+      for (int r = 1; r < rows; ++r) sums += own[r] * load(W + r * stride_ + k);
+      if (k + 3 <= i && columns_[k + 3] == columns_[k] + 3) {
+        double* at = row + columns_[k];
+        store(load(at) + sums, at);
+        continue;
       }
+      for (int l = k; l <= std::min(k + 3, i); ++l) row[columns_[l]] += sums[l - k];
     }
-    double pull = 0.0;
-    for (int r = 0; r < rows; ++r) pull += W[r * stride_ + i] * wanted[r];
-    g[columns_[i]] -= pull;
   }
 }
 
@@ -237,16 +250,15 @@ void WorldFrame::measure(double* measures) const {
 }
 
 void WorldFrame::differentiate() {
-  double own[4], turned[4], A[9], zero[9] = {}, T[36], e[6] = {};
+  double own[4], turned[4], back[3], A[9], T[36];
   for (int i = 0; i < 3; ++i) error()[i] = data_.target[4 + i] - frame_.position[i];
   quaternion_of(frame_.rotation, own);
   multiply_conjugate(data_.target, own, turned);
   log_rotation(turned, error() + 3, 0.0);
   // Jr⁻¹(φ) = Jl⁻¹(−φ)
-  for (int i = 0; i < 3; ++i) e[3 + i] = -error()[3 + i];
-  inverse_left_jacobian_motion(e, A, zero);
-  const double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-  std::fill_n(zero, 9, 0.0);
+  for (int i = 0; i < 3; ++i) back[i] = -error()[3 + i];
+  inverse_left_jacobian(back, A);
+  constexpr double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, zero[9] = {};
   set_blocks(T, unit, zero, A);
   std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
   turn(frame_, T);

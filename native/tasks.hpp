@@ -45,7 +45,7 @@ struct Frame {
 /// A term with a Jacobian of its own, over the columns of the dofs that move it.
 class RowTerm {
  public:
-  /// `root` is S with B = SᵀS: empty for the unit matrix, (rows,) a diagonal or (rows, rows).
+  /// `root` is S with B = SᵀS: (rows,) a diagonal or (rows, rows); `dofs` are in ascending order.
   RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs, const MuJoCo& mujoco,
           const Stack& stack);
   virtual ~RowTerm() = default;
@@ -93,8 +93,11 @@ class RowTerm {
   std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
 
  private:
+  template <int rows>
+  void add_rows(double* H, double* g, int n, const double* wanted) const;
+
   std::vector<double> root_;
-  std::vector<int> columns_;  // in the program
+  std::vector<int> columns_;  // in the program, in ascending order
   int inside_;                // columns that are in the program
   std::vector<double> weighted_;
   std::vector<double> world_;  // (6, stride)

@@ -3,6 +3,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.native import NativeEngine
+from rmrc.control.step import Step
 from rmrc.qp.program import Array
 
 class QPSolver:
@@ -104,3 +106,54 @@ class Engine:
         self, q: Array, dt: float, seconds: float, solution: Array
     ) -> tuple[str, int, float, float, float, bool, bool]: ...
     def forget(self) -> None: ...
+
+class Record:
+    """A step as it was taken: a buffer of doubles."""
+
+    def __buffer__(self, flags: int, /) -> memoryview: ...
+    @property
+    def v(self) -> Array: ...
+    @property
+    def q(self) -> Array: ...
+    @property
+    def ending(self) -> str: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def engine(self) -> NativeEngine: ...
+
+class Stepper:
+    """A controller's steps where nothing rare happens."""
+
+    def __init__(
+        self,
+        *,
+        engine: Engine,
+        step: type,
+        record: type,
+        q: Array,
+        v: Array,
+        v_previous: Array,
+        dt: float,
+        quaternions: list[int],
+        frozen: list[bool],
+        budget: float,
+        kept: list[Array],
+        moving: NDArray[np.uint8],
+        watched: list[tuple[int, list[float], float, float]],
+        tolerance: float,
+    ) -> None: ...
+    def add_target(
+        self,
+        pose: bool,
+        target: Array,
+        twist: Array,
+        feedforward: Array,
+        moving: NDArray[np.uint8],
+    ) -> int: ...
+    def aim(self, at: int, position: object, quaternion: object, velocity: object) -> bool: ...
+    def step(self, engine: object, q: object, dt: object) -> Step | None: ...
+    def reset(self) -> None: ...
+    def update(self, v: Array, dt: float) -> None: ...
+    @property
+    def stuck(self) -> bool: ...

@@ -5,7 +5,7 @@ Its C++ tests, for the sanitizers and for memory, are in `native/tests`.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -15,13 +15,18 @@ import rmrc
 from models import REPOSITORY, ROBOTS, config, scene_path
 from rmrc import Problem
 from rmrc.control.engines import build_engine
-from rmrc.control.native import NativeEngine, lacking, missing
 from rmrc.control.step import ACTIVE_MULTIPLIER
 from rmrc.qp.program import Solution
 
 Array = NDArray[np.float64]
 
-pytestmark = pytest.mark.skipif(missing() is not None, reason=f"no native engine: {missing()}")
+if TYPE_CHECKING:
+    from rmrc.control.native import NativeEngine, lacking
+else:
+    native = pytest.importorskip(
+        "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
+    )
+    NativeEngine, lacking = native.NativeEngine, native.lacking
 
 SAME = 1e-8
 """Of v, relative to its largest element: two solvers, and kinematics that round differently."""

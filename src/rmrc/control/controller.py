@@ -11,7 +11,7 @@ from rmrc.control.engines import Choice, build_engine
 from rmrc.control.inputs import Configurations, Targets
 from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
-from rmrc.control.step import ACTIVE_MULTIPLIER, Errors, Moment, Status, Step
+from rmrc.control.step import ACTIVE_MULTIPLIER, Errors, Made, Moment, Status, Step
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import names
 from rmrc.problem.problem import Problem
@@ -61,7 +61,10 @@ class Controller:
         self._timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
         self._jerk = bool(np.isfinite(problem.box.jerk).any())
         self._measures = problem.config.previous == "measured"
-        self._progress = Progress(problem, self._evaluation, self.engine.assembly)
+        self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
+        stepper = self.engine.stepper(self._q, self._v)
+        self._quick, self._quick_targets = (None, {}) if stepper is None else stepper
+        self._progress = self._quick or Progress(problem, self._evaluation, self.engine.assembly)
         self.failures = 0
         """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
@@ -89,12 +92,11 @@ class Controller:
                 raise ModelError(
                     f"q must be {self._configurations.size} finite numbers with no zero quaternion"
                 )
-            self._q = valid
+            self._q[:] = valid
         else:
-            self._q = self.problem.start.copy()
-        nv = self._model.nv
-        self._v = np.zeros(nv) if v is None else np.array(v, dtype=float)
-        self._a = np.zeros(nv) if a is None else np.array(a, dtype=float)
+            self._q[:] = self.problem.start
+        self._v[:] = 0.0 if v is None else v
+        self._a[:] = 0.0 if a is None else a
         self._refused = False
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
@@ -139,6 +141,10 @@ class Controller:
         Raises:
             ModelError: If there is no such task.
         """
+        if self._quick is not None and q is None and direction is None:
+            target = self._quick_targets.get(name)
+            if target is not None and self._quick.aim(target, position, quaternion, velocity):
+                return True
         term = self._term.get(name) or self.problem.named(name)
         accepted = self._targets.take(term, position, quaternion, velocity, q, direction)
         if not accepted:
@@ -196,14 +202,19 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
+        if self._quick is not None and not self._refused:
+            step = self._quick.step(self.engine, q, dt)
+            if step is not None:
+                self.failures = self.failures + 1 if step.flag_bits & _FAILED else 0
+                return step
         if self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
-        valid = self._q if q is None else self._configurations.read(q)
+        valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else self._seconds(dt)
         if valid is None or seconds is None:
             return self._brake(seconds, _INVALID_INPUT)
         dt = seconds
-        previous = self._v
+        previous = self._v.copy()
         if self._measures:
             previous = self._previous(q is not None, valid, v, dt)
             if previous is None:
@@ -222,7 +233,7 @@ class Controller:
             return self._configurations.read_velocity(v)
         before, self._measured = self._measured, q if measured else None
         if before is None or not measured:
-            return self._v
+            return self._v.copy()
         found = np.empty(self._model.nv)
         mujoco.mj_differentiatePos(self._model, found, dt, before, q)
         return found
@@ -249,17 +260,16 @@ class Controller:
             v[self.problem.dofs] = solution.v
         following = q.copy()
         mujoco.mj_integratePos(self._model, following, v, dt)
-        acceleration = self._a
+        acceleration = self._a.copy()
         if self._jerk:
-            self._a = (v - previous) / dt
-        self._q = following.copy()  # what a step holds is its caller's
-        self._v = v.copy()
+            self._a[:] = (v - previous) / dt
+        self._q[:], self._v[:] = following, v
         self._clock += dt
         self.failures = self.failures + 1 if flags & _FAILED else 0
         evaluation = self._evaluation
         error = Errors(evaluation, evaluation.error.copy())
         moment = Moment(self.engine, q, previous, acceleration, dt)
-        return Step(v, following, flags, error, solution, moment)
+        return Step(Made(v, following, error, solution, moment), flags)
 
     @property
     def q(self) -> Array:
@@ -271,7 +281,7 @@ class Controller:
 
         The program is not solved; the errors are those of the targets at q.
         """
-        valid = self._q if q is None else self._configurations.read(q)
+        valid = self._q.copy() if q is None else self._configurations.read(q)
         if valid is None or not np.isfinite(v).all():
             return self._brake(None, _INVALID_INPUT)
         engine, dofs, dt = self.engine, self.problem.dofs, self.problem.dt
@@ -283,7 +293,7 @@ class Controller:
         flags = _RECOVERING if outside else 0
         if np.abs(solution.v - v[dofs]).max() > 0.0:
             flags |= _LIMITED
-        return self._carried_out(valid, solution, flags, dt, self._v)
+        return self._carried_out(valid, solution, flags, dt, self._v.copy())
 
     def _flags(self, solution: Solution) -> int:
         """Return the statuses that hold, bit k for the status of value k."""
@@ -329,7 +339,7 @@ class Controller:
         solution = Solution.at_rest(self.engine.assembly.qp)
         solution.v = v[self.problem.dofs]
         self._progress.reset()
-        return self._carried_out(self._q, solution, flags, seconds, self._v)
+        return self._carried_out(self._q.copy(), solution, flags, seconds, self._v.copy())
 
     def _seconds(self, dt: object) -> float | None:
         """Return a length of a step in s, or None if it is none."""

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Solution, SolveStatus
 from rmrc.qp.relax import INCONSISTENT, least_violation
 from rmrc.qp.rows import Rows
+
+if TYPE_CHECKING:
+    from rmrc.control.native_steps import Stepper
 
 Array = NDArray[np.float64]
 
@@ -87,6 +91,10 @@ class PythonEngine:
     def damped(self) -> bool:
         """Whether the damping of the last step was above its floor."""
         return self.assembly.damped
+
+    def stepper(self, q: Array, v: Array) -> "Stepper | None":
+        """Return what takes a controller's common steps without Python; here nothing does."""
+        return None
 
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""

@@ -5,8 +5,7 @@ from typing import Literal
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.control.engine import PythonEngine
 from rmrc.control.methods import ClosedFormEngine
-from rmrc.control.native import NativeEngine, lacking, missing
-from rmrc.errors import ModelError, unknown_name
+from rmrc.errors import ModelError, SolverError, unknown_name
 from rmrc.problem.problem import Problem
 
 Choice = Literal["auto", "python", "native"]
@@ -31,6 +30,8 @@ def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, .
     if asked == "native" and reason:
         raise config_error([Mistake(("engine",), f"native cannot run: {reason}")], problem.config)
     if asked != "python" and not reason:
+        from rmrc.control.native import NativeEngine  # which is there, for there is no reason
+
         return NativeEngine(problem), ()
     closed_form = problem.config.method != "qp"
     engine = ClosedFormEngine(problem) if closed_form else PythonEngine(problem)
@@ -40,7 +41,11 @@ def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, .
 
 def _reason(problem: Problem) -> str | None:
     """Return why the native engine cannot run a problem, or None."""
-    if reason := missing():
-        return reason
+    try:
+        from rmrc.control.native import addresses, lacking
+
+        addresses()
+    except (ImportError, SolverError) as failure:
+        return f"the native engine is not there: {failure}"
     absent = lacking(problem)
     return f"the native engine has no {', no '.join(absent)}" if absent else None

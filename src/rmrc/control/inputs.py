@@ -58,11 +58,12 @@ class Configurations:
 
     def __init__(self, model: mujoco.MjModel):
         self.size, self.rates = int(model.nq), int(model.nv)
-        self._quaternions = [
+        self.quaternions = [
             int(model.jnt_qposadr[joint]) + width - 4
             for joint in range(model.njnt)
             if (width := QPOS_WIDTH[joint_type(model, joint)]) > 1
         ]
+        """Where the quaternions stand."""
 
     def read(self, q: object) -> Array | None:
         """Return q as a new array (nq,) with unit quaternions, or None if it is not valid."""
@@ -70,7 +71,7 @@ class Configurations:
         if given is None or not sane(given):
             return None
         array = np.array(given)
-        for first in self._quaternions:
+        for first in self.quaternions:
             quaternion = array[first : first + 4]
             norm = math.sqrt(quaternion.dot(quaternion))
             if norm < ZERO_NORM:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from rmrc.qp.assemble import Assembly, square_root
 from rmrc.qp.cascade import WHOLE
 from rmrc.qp.program import KKT, Solution, SolveStatus
 from rmrc.qp.rows import Rows
+
+if TYPE_CHECKING:
+    from rmrc.control.native_steps import Stepper
 
 Array = NDArray[np.float64]
 
@@ -192,6 +196,10 @@ class ClosedFormEngine:
 
     def _slice(self, term: Term) -> slice:
         return self.evaluation.rows_of([term])
+
+    def stepper(self, q: Array, v: Array) -> "Stepper | None":
+        """Return what takes a controller's common steps without Python; nothing does."""
+        return None
 
     def reset(self) -> None:
         """A closed form remembers nothing."""

@@ -6,13 +6,14 @@ import os
 from functools import cache
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc import _native
 from rmrc.control.engine import PythonEngine
+from rmrc.control.native_steps import Layout, Stepper, build_stepper
 from rmrc.errors import SolverError
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.ball import BallRanges
@@ -34,16 +35,6 @@ from rmrc.problem.tasks.smooth import SmoothTerm
 from rmrc.problem.tasks.velocity import VelocityTerm
 from rmrc.qp.assemble import square_root
 from rmrc.qp.program import KKT, Solution, SolveStatus
-
-if TYPE_CHECKING:
-    from rmrc import _native
-    from rmrc._native import Frame, TermRows
-
-_UNBUILT = ""
-try:
-    from rmrc import _native
-except ImportError as failure:
-    _UNBUILT = str(failure)
 
 Array = NDArray[np.float64]
 
@@ -90,17 +81,6 @@ def addresses() -> tuple[int, ...]:
             continue
         return tuple(pointer.value or 0 for pointer in found)
     raise SolverError(f"no library of MuJoCo's with {', '.join(FUNCTIONS)} is in {folder}")
-
-
-def missing() -> str | None:
-    """Return why the native engine cannot run on this machine at all, or None."""
-    if _UNBUILT:
-        return f"the native extension is not there ({_UNBUILT})"
-    try:
-        addresses()
-    except SolverError as failure:
-        return str(failure)
-    return None
 
 
 def lacking(problem: Problem) -> list[str]:
@@ -181,6 +161,8 @@ class NativeEngine(PythonEngine):
         for term in evaluation.terms:
             self._add(term)
         self._adapt()
+        self.layout = Layout(self)
+        """Where the numbers of a step stand in what the extension has noted of it."""
 
     def _add(self, term: Term) -> None:
         """Hand a term to the extension."""
@@ -206,7 +188,7 @@ class NativeEngine(PythonEngine):
             case _:
                 raise SolverError(f"the native engine has no task of type {term.type}")
 
-    def _rows_of(self, term: Term, root: Array) -> "TermRows":
+    def _rows_of(self, term: Term, root: Array) -> _native.TermRows:
         """Return what all terms have: `root` is S, or B of a term on the joints themselves."""
         evaluation, at = self.evaluation, self.evaluation.index[term.name]
         return _native.TermRows(
@@ -224,7 +206,7 @@ class NativeEngine(PythonEngine):
             ],
         )
 
-    def _frame(self, frame: FrameHandle) -> "Frame":
+    def _frame(self, frame: FrameHandle) -> _native.Frame:
         model, data = self.problem.model, self.evaluation.data
         owners = {"site": model.site_bodyid, "geom": model.geom_bodyid}
         body = frame.id if frame.kind == "body" else int(owners[frame.kind][frame.id])
@@ -282,6 +264,19 @@ class NativeEngine(PythonEngine):
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""
         self._native.forget()
+
+    def stepper(self, q: Array, v: Array) -> Stepper | None:
+        """Return what takes a controller's common steps in C++; None where every step is rare.
+
+        Args:
+            q: The controller's configuration (nq,), and where a step leads to.
+            v: Its last command (nv,), and the next.
+        """
+        problem = self.problem
+        timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
+        if timed or problem.config.previous == "measured" or np.isfinite(problem.box.jerk).any():
+            return None
+        return build_stepper(self, self._native, q, v)
 
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, or the brake."""

@@ -44,9 +44,10 @@ class Progress:
         weights = [_diagonal(term) for term, _, _ in self._terms]
         self._weight = np.concatenate([*weights, np.zeros(0)])
         tolerances = [_row_tolerances(term, limit) for term, _, _ in self._terms]
-        self._tolerance = math.sqrt(
+        self.tolerance = math.sqrt(
             float(self._weight @ np.concatenate([*tolerances, np.zeros(0)]) ** 2)
         )
+        """‖tolerances‖_B."""
         self.reset()
 
     def reset(self) -> None:
@@ -63,6 +64,20 @@ class Progress:
         self._without = self._without + elapsed if self._stands(v) else 0.0
         self.stuck = self._without >= WINDOW
 
+    def watched(self) -> list[tuple[Term, Array, tuple[float, float]]]:
+        """Return the decisive tasks, B's diagonal, and the distance and angle that count as there.
+
+        One that a task does not measure is infinite; a number of its own counts as the distance.
+        """
+        found = []
+        for term, _, limits in self._terms:
+            by_unit = dict(zip(term.units, limits.tolist(), strict=True))
+            pair = (by_unit.get("m", math.inf), by_unit.get("rad", math.inf))
+            if term.rows != 6:
+                pair = (float(limits[0]), math.inf)
+            found.append((term, _diagonal(term), pair))
+        return found
+
     def _stands(self, v: Array) -> bool:
         evaluation = self._evaluation
         if not any(
@@ -78,7 +93,7 @@ class Progress:
             return False
         asked = pull.dot(self._assembly.rate[rows]) / length
         speed = pull.dot(evaluation.jacobian[np.ix_(rows, self._dofs)] @ v) / length
-        return speed < min(TOLERANCES * self._tolerance, SHARE * asked)
+        return speed < min(TOLERANCES * self.tolerance, SHARE * asked)
 
 
 def _diagonal(term: Term) -> Array:

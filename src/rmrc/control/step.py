@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.evaluation import Evaluation, Kept
 from rmrc.qp.program import Solution
 
 if TYPE_CHECKING:
@@ -87,11 +87,8 @@ class Moment:
     """What a step was computed from, kept so that it can be explained later."""
 
     __slots__ = (
-        "_blocks",
-        "_moving",
-        "_obstacles",
+        "_kept",
         "_rows",
-        "_targets",
         "a_previous",
         "dt",
         "engine",
@@ -107,17 +104,12 @@ class Moment:
         v_previous: Array,
         a_previous: Array,
         dt: float,
+        kept: Kept | None = None,
     ):
         self.engine = engine
         self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
         self.share = engine.share
-        evaluation = engine.evaluation
-        self._targets = evaluation.targets.copy()
-        self._moving = self._obstacles = None
-        if 1 in evaluation.moving:
-            self._moving = (bytes(evaluation.moving), evaluation.twists.copy())
-        if evaluation.model.nmocap:
-            self._obstacles = evaluation.obstacles()
+        self._kept = engine.evaluation.keep() if kept is None else kept
         self._rows = engine.rows.kept() if engine.rows.count else None
 
     @contextmanager
@@ -125,24 +117,13 @@ class Moment:
         """Have the engine at this moment again, and afterwards its targets as they were."""
         engine = self.engine
         now = Moment(engine, self.q, self.v_previous, self.a_previous, self.dt)
-        self._write()
+        engine.evaluation.restore(self._kept)
         engine.evaluation.a_previous[:] = self.a_previous
         engine.prepare(self.q, self.v_previous, self.dt)
         try:
             yield
         finally:
-            now._write()
-
-    def _write(self) -> None:
-        """Write the targets and the obstacles of this moment into the engine's evaluation."""
-        evaluation = self.engine.evaluation
-        evaluation.targets[:] = self._targets
-        evaluation.moving[:] = bytes(len(evaluation.moving))
-        evaluation.feedforward[:] = 0.0
-        if self._moving is not None:
-            evaluation.moving[:], evaluation.twists[:] = self._moving
-        if self._obstacles is not None:
-            evaluation.place(self._obstacles)
+            engine.evaluation.restore(now._kept)
 
     def named_row(self, row: int) -> tuple[str, str, float, float]:
         """Return the kind of limit that a row belongs to, what it is of, its lo and its hi."""
@@ -150,32 +131,79 @@ class Moment:
         return self._rows.described(row)
 
 
+class Source(Protocol):
+    """What a step was, made at once or when it is asked for."""
+
+    @property
+    def v(self) -> Array:
+        """See `Step.v`."""
+        ...
+
+    @property
+    def q(self) -> Array:
+        """See `Step.q`."""
+        ...
+
+    @property
+    def error(self) -> Errors:
+        """See `Step.error`."""
+        ...
+
+    @property
+    def solution(self) -> Solution:
+        """See `Step.solution`."""
+        ...
+
+    @property
+    def moment(self) -> Moment:
+        """See `Step.moment`."""
+        ...
+
+
+class Made(NamedTuple):
+    """A step that was made at once."""
+
+    v: Array
+    q: Array
+    error: Errors
+    solution: Solution
+    moment: Moment
+
+
 class Step:
     """One control step: the command, and what there is to know about it."""
 
-    __slots__ = ("error", "flag_bits", "moment", "q", "solution", "v")
+    __slots__ = ("_source", "flag_bits")
 
-    def __init__(
-        self,
-        v: Array,
-        q: Array,
-        flag_bits: int,
-        error: Errors,
-        solution: Solution,
-        moment: Moment,
-    ):
-        self.v = v
-        """Joint velocity to command (nv,), rad/s or m/s; always finite and inside the box."""
-        self.q = q
-        """Configuration (nq,) that v leads to in one step."""
+    def __init__(self, source: Source, flag_bits: int):
+        self._source = source
         self.flag_bits = flag_bits
         """The statuses that hold, bit k for the status of value k."""
-        self.error = error
+
+    @property
+    def v(self) -> Array:
+        """Joint velocity to command (nv,), rad/s or m/s; always finite and inside the box."""
+        return self._source.v
+
+    @property
+    def q(self) -> Array:
+        """Configuration (nq,) that v leads to in one step."""
+        return self._source.q
+
+    @property
+    def error(self) -> Errors:
         """True errors of the tasks before the step, by name."""
-        self.solution = solution
-        """What the backend returned, with its certificate."""
-        self.moment = moment
+        return self._source.error
+
+    @property
+    def solution(self) -> Solution:
+        """What the solver returned, with its certificate."""
+        return self._source.solution
+
+    @property
+    def moment(self) -> Moment:
         """What it was computed from."""
+        return self._source.moment
 
     def explain(self) -> "Explanation":
         """Return what binds, what each task asked for and got, and which limit would help most."""

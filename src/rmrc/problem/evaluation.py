@@ -1,6 +1,7 @@
 """`Evaluation`: errors and Jacobians of all terms at one configuration, in buffers kept."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import mink
 import mujoco
@@ -11,6 +12,16 @@ from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 
 Array = NDArray[np.float64]
+
+
+class Kept(NamedTuple):
+    """What a step depends on beside q and v_prev, as it was."""
+
+    targets: Array
+    moving: tuple[bytes, Array] | None
+    """Which targets move and the twists; None where none does."""
+    obstacles: tuple[Array, Array, Array] | None
+    """Positions, quaternions and velocities of the mocap bodies; None without any."""
 
 
 class Evaluation:
@@ -87,14 +98,23 @@ class Evaluation:
             mujoco.mj_tendon(self.model, self.data)
             mujoco.mj_makeConstraint(self.model, self.data)
 
-    def obstacles(self) -> tuple[Array, Array, Array]:
-        """Return copies of the mocap bodies' positions, quaternions and velocities."""
-        data = self.data
-        return data.mocap_pos.copy(), data.mocap_quat.copy(), self.obstacle_twist.copy()
+    def keep(self) -> "Kept":
+        """Return copies of the targets and of the mocap bodies as they are."""
+        data, obstacles = self.data, None
+        moving = (bytes(self.moving), self.twists.copy()) if 1 in self.moving else None
+        if self.model.nmocap:
+            obstacles = data.mocap_pos.copy(), data.mocap_quat.copy(), self.obstacle_twist.copy()
+        return Kept(self.targets.copy(), moving, obstacles)
 
-    def place(self, obstacles: tuple[Array, Array, Array]) -> None:
-        """Put the mocap bodies where they were."""
-        self.data.mocap_pos[:], self.data.mocap_quat[:], self.obstacle_twist[:] = obstacles
+    def restore(self, kept: "Kept") -> None:
+        """Put the targets and the mocap bodies where they were."""
+        data = self.data
+        self.targets[:], self.feedforward[:] = kept.targets, 0.0
+        self.moving[:] = bytes(len(self.moving))
+        if kept.moving is not None:
+            self.moving[:], self.twists[:] = kept.moving
+        if kept.obstacles is not None:
+            data.mocap_pos[:], data.mocap_quat[:], self.obstacle_twist[:] = kept.obstacles
 
     def move(self, q: Array, dofs: NDArray[np.intp], step: Array) -> None:
         """Evaluate at q moved by a tangent step over some dofs."""

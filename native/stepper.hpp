@@ -1,0 +1,76 @@
+// A controller's step where nothing rare happens: rmrc.control.controller, its common path.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "engine.hpp"
+#include "progress.hpp"
+
+namespace rmrc {
+
+/// What a step starts from, and leaves behind: arrays of the controller's.
+struct ControllerState {
+  double* q;           // (nq,): where the last command led to
+  double* v;           // (nv,): the last command
+  double* v_previous;  // (nv,): what the terms count from
+};
+
+/// An array that a step keeps a copy of, and how long it is.
+struct KeptArray {
+  const double* values;
+  int size;
+};
+
+/// Which targets move.
+struct KeptFlags {
+  const std::uint8_t* values;
+  int size;
+};
+
+/// What a step has to say beside its numbers.
+struct Summary {
+  unsigned flags;  // bit k for the status of value k, as in rmrc.control.step.Status
+  Ending ending;
+  int iterations;
+};
+
+/// Where v begins among a step's numbers, and the configuration that it leads to behind it.
+inline constexpr int v_begins = 4;
+
+/// Takes steps from q as measured or commanded, and keeps what they were computed from.
+class Stepper {
+ public:
+  /// `quaternions` are addresses in q; `frozen` (n,) tells which dofs stand still by a task.
+  Stepper(Engine& engine, Progress progress, ControllerState state, std::vector<int> quaternions,
+          std::vector<char> frozen, double budget, std::vector<KeptArray> kept,
+          KeptFlags moving);
+
+  /// Doubles that a step is written to: residuals (3), dt, v, the configuration v leads to, the one
+  /// it starts from, v_previous, z, the arrays kept, and 1 for each target that moves.
+  int size() const { return size_; }
+
+  /// Take a step of dt seconds from q (nq,), or from where the last one led to if q is null.
+  ///
+  /// Return false, and change nothing, if q is not valid.
+  bool step(const double* q, double dt, double* out, Summary& summary);
+
+  Engine& engine() { return engine_; }
+  Progress& progress() { return progress_; }
+
+ private:
+  bool read(const double* q, double* out) const;
+  unsigned flags(Ending ending) const;
+
+  Engine& engine_;
+  Progress progress_;
+  ControllerState state_;
+  std::vector<int> quaternions_;
+  std::vector<char> frozen_;
+  double budget_;
+  std::vector<KeptArray> kept_;
+  KeptFlags moving_;
+  int size_;
+};
+
+}  // namespace rmrc
