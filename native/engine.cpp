@@ -71,7 +71,10 @@ void Engine::forget() {
   solver_.forget();
 }
 
-bool Engine::damped() const { return added_ > raised * (constants_.floor + added_); }
+bool Engine::damped() const {
+  const double added = *program_.added_damping;
+  return added > raised * (constants_.floor + added);
+}
 
 Ending Engine::solve(const double* q, double dt, double seconds) {
   limited_ = seconds < infinity;
@@ -135,8 +138,8 @@ void Engine::assemble() {
   std::fill_n(g, n, 0.0);
   for (const auto& term : rows_) term->add_to(H, g, n, program_.rate);
   if (damping_ && damping_->adapts()) {
-    added_ = damping_->square(rows_, stack_.error);
-    for (int i = 0; i < n; ++i) H[i * n + i] += constants_.unit * added_;
+    const double added = *program_.added_damping = damping_->square(rows_, stack_.error);
+    for (int i = 0; i < n; ++i) H[i * n + i] += constants_.unit * added;
   }
   add_joints();
   if (constants_.inertia > 0.0) add_inertia();

@@ -22,7 +22,8 @@ struct ProgramArrays {
   double* g;
   double* lb;
   double* ub;
-  double* rate;           // ẋ = K clamp(e) + ẋ_ff of all terms
+  double* rate;              // ẋ = K clamp(e) + ẋ_ff of all terms
+  double* added_damping;     // λ_a²
   const double* a_previous;  // (nv,)
 };
 
@@ -78,8 +79,7 @@ class Engine {
   /// Whether a joint was outside its range at the last step.
   bool outside() const { return outside_; }
 
-  /// λ_a² of the last step, and whether it was more than rounding.
-  double added_damping() const { return added_; }
+  /// Whether λ_a² of the last step was more than rounding.
   bool damped() const;
 
   /// Whether the present step's time is not over.
@@ -112,7 +112,6 @@ class Engine {
   bool limited_ = false;  // whether there is a deadline
   Clock::time_point end_;
   bool outside_ = false;
-  double added_ = 0.0;
   int iterations_ = 0;
   Residuals residuals_{};
   std::vector<double> v_, z_, residual_;

@@ -1,4 +1,4 @@
-// The engine in Python: built from the arrays of an `Evaluation` and an `Assembly`, solved in place.
+// The engine in Python: built from the arrays of an `Evaluation` and an `Assembly`, which it fills.
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -64,10 +64,11 @@ class BoundEngine {
               std::vector<int> dofs, Numbers hessian, double unit, double inertia, double floor,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                Numbers>& limits,
-              Writing H, Writing g, Writing lb, Writing ub, int max_iter)
+              Writing H, Writing g, Writing added_damping, Writing lb, Writing ub, int max_iter)
       : kept_{nb::cast(qpos),      nb::cast(cdof),       nb::cast(error),     nb::cast(feedforward),
               nb::cast(rate),      nb::cast(jacobian),   nb::cast(v_previous), nb::cast(a_previous),
-              nb::cast(H),         nb::cast(g),          nb::cast(lb),        nb::cast(ub)} {
+              nb::cast(H),         nb::cast(g),          nb::cast(added_damping),
+              nb::cast(lb),        nb::cast(ub)} {
     const std::size_t n = dofs.size(), nv = v_previous.size();
     if (functions.size() != 6) throw std::invalid_argument("six functions are needed");
     require(cdof, 6 * nv, "cdof");
@@ -76,6 +77,7 @@ class BoundEngine {
     require(rate, error.size(), "rate");
     require(hessian, n * n, "hessian");
     require(H, n * n, "H");
+    require(added_damping, 1, "added_damping");
     for (const Writing* array : {&g, &lb, &ub}) require(*array, n, "the program");
     place_.assign(nv, -1);
     for (std::size_t k = 0; k < n; ++k) place_.at(dofs[k]) = static_cast<int>(k);
@@ -102,7 +104,8 @@ class BoundEngine {
     engine_ = std::make_unique<Engine>(
         mujoco,
         Stack{error.data(), feedforward.data(), jacobian.data(), v_previous.data(), place_.data()},
-        ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(), a_previous.data()},
+        ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(),
+                      added_damping.data(), a_previous.data()},
         Constants{std::move(dofs), std::move(hessian), unit, inertia, floor},
         JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk}, max_iter);
   }
@@ -265,7 +268,7 @@ nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
   return nb::make_tuple(name_of(ending), engine.iterations(), kkt.primal, kkt.dual,
-                        kkt.complementarity, engine.outside(), engine.damped());
+                        kkt.complementarity, engine.outside());
 }
 
 }  // namespace
@@ -284,10 +287,11 @@ void bind_engine(nb::module_& m) {
                     std::vector<int>, Numbers, double, double, double,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                      Numbers>&,
-                    Writing, Writing, Writing, Writing, int>(),
+                    Writing, Writing, Writing, Writing, Writing, int>(),
            nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a, "cdof"_a, "error"_a,
            "feedforward"_a, "rate"_a, "jacobian"_a, "v_previous"_a, "a_previous"_a, "dofs"_a,
-           "hessian"_a, "unit"_a, "inertia"_a, "floor"_a, "limits"_a, "H"_a, "g"_a, "lb"_a, "ub"_a,
+           "hessian"_a, "unit"_a, "inertia"_a, "floor"_a, "limits"_a, "H"_a, "g"_a,
+           "added_damping"_a, "lb"_a, "ub"_a,
            "max_iter"_a)
       .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a, "world"_a)
       .def("add_relative", &BoundEngine::add_relative, "rows"_a, "frame"_a, "root"_a)
@@ -300,7 +304,7 @@ void bind_engine(nb::module_& m) {
            "rows"_a)
       .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,
            "Solve a step; write v and z, and return how it ended, the iterations, the residuals,\n"
-           "whether a joint is outside its range, and whether the damping is above its floor.")
+           "and whether a joint is outside its range.")
       .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");
 }
 

@@ -1,4 +1,4 @@
-// A controller's common path in Python: targets in, a step out, and no array before it is asked for.
+// A controller's common path in Python: targets in, a step out, its arrays when they are asked for.
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -122,8 +122,8 @@ struct Aim {
 
 class BoundStepper {
  public:
-  BoundStepper(nb::object engine, nb::type_object step, nb::type_object record, Writing q, Writing v, Writing v_previous,
-               double dt, std::vector<int> quaternions, const std::vector<bool>& frozen,
+  BoundStepper(nb::object engine, nb::type_object step, nb::type_object record, Writing q,
+               Writing v, Writing v_previous, double dt, std::vector<int> quaternions, const std::vector<bool>& frozen,
                double budget, const std::vector<Reading>& kept, Flags moving,
                const std::vector<std::tuple<int, std::vector<double>, double, double>>& watched,
                double tolerance)

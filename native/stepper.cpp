@@ -35,7 +35,8 @@ Stepper::Stepper(Engine& engine, Progress progress, ControllerState state,
       budget_(budget),
       kept_(std::move(kept)),
       moving_(moving),
-      size_(moving.size + v_begins + 2 * engine.mujoco().nv + 2 * engine.mujoco().nq + engine.size()) {
+      size_(moving.size + v_begins + 2 * (engine.mujoco().nv + engine.mujoco().nq) +
+            engine.size()) {
   for (const KeptArray& array : kept_) size_ += array.size;
 }
 

@@ -76,6 +76,7 @@ class Engine:
         ],
         H: Array,
         g: Array,
+        added_damping: Array,
         lb: Array,
         ub: Array,
         max_iter: int,
@@ -104,7 +105,7 @@ class Engine:
     ) -> None: ...
     def solve(
         self, q: Array, dt: float, seconds: float, solution: Array
-    ) -> tuple[str, int, float, float, float, bool, bool]: ...
+    ) -> tuple[str, int, float, float, float, bool]: ...
     def forget(self) -> None: ...
 
 class Record:

@@ -121,7 +121,6 @@ class NativeEngine(PythonEngine):
     def __init__(self, problem: Problem):
         super().__init__(problem)
         self.backend = self.name
-        self._damped = False
         model, data, evaluation = problem.model, self.evaluation.data, self.evaluation
         assembly, qp, box = self.assembly, self.assembly.qp, problem.box
         self._moves = dofs_of_bodies(model)
@@ -154,6 +153,7 @@ class NativeEngine(PythonEngine):
             ),
             H=qp.H,
             g=qp.g,
+            added_damping=assembly.adaptive.added,
             lb=qp.lb,
             ub=qp.ub,
             max_iter=problem.config.solver.max_iter or MOST_CHANGES,
@@ -256,11 +256,6 @@ class NativeEngine(PythonEngine):
             damping.adapt, damping.threshold, damping.largest, adaptive.rank, adaptive.scale, rows
         )
 
-    @property
-    def damped(self) -> bool:
-        """Whether the damping of the last step was above its floor."""
-        return self._damped
-
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""
         self._native.forget()
@@ -283,7 +278,5 @@ class NativeEngine(PythonEngine):
         self.evaluation.v_previous[:] = v_previous
         seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
-        status, iterations, *kkt, self.outside, self._damped = self._native.solve(
-            q, dt, seconds, both
-        )
+        status, iterations, *kkt, self.outside = self._native.solve(q, dt, seconds, both)
         return Solution(both[0], both[1], _NONE, _NONE, iterations, SolveStatus(status), KKT(*kkt))

@@ -80,7 +80,9 @@ class Damping:
         self._raise = raising[self._model.adapt] if self.rank else None
         self.adapts = self._raise is not None
         """Whether λ can rise above its floor at all."""
-        self._floor, self._added = problem.damping**2, 0.0
+        self._floor = problem.damping**2
+        self.added = np.zeros(1)
+        """λ_a² of the last update (1,)."""
 
     def _generic_rank(self, weigh: Callable[[], Array]) -> int:
         """Return r, from configurations drawn around the start, where the evaluation is left."""
@@ -109,18 +111,19 @@ class Damping:
 
     def update(self) -> float:
         """Find λ at the present W and errors; return λ_a²."""
-        self._added = self._raise() if self._raise is not None else 0.0
-        return self._added
+        added = self._raise() if self._raise is not None else 0.0
+        self.added[0] = added
+        return added
 
     @property
     def square(self) -> float:
         """λ² at the last update."""
-        return self._floor + self._added
+        return self._floor + self.added.item()
 
     @property
     def raised(self) -> bool:
         """Whether λ was above its floor at the last update, by more than rounding."""
-        return self._added > RAISED * self.square
+        return self.added.item() > RAISED * self.square
 
     def _by_sigma_min(self) -> float:
         ratio = float(self.singular_values()[-1]) / self._model.threshold
