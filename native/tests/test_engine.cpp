@@ -167,7 +167,8 @@ struct Fixture {
                                                      std::vector<const double*>{arm.position},
                                                      mujoco, stack));
     engine->add(std::make_unique<rmrc::Coupling>(
-        next(point), ones(1), std::vector<double>{1, 1, 0, 0, 0}, std::vector<double>{1, 1, 0, 0, 0},
+        next(point), ones(1), std::vector<double>{1, 1, 0, 0, 0},
+        std::vector<double>{1, 1, 0, 0, 0},
         0.5, mujoco, stack));
     engine->add(rmrc::JointTerm{data(first, joints, posture), rmrc::JointTask::posture,
                                 std::vector<double>(joints, 0.01)});

@@ -260,6 +260,7 @@ LACKING: dict[str, dict[str, Any]] = {
         "limits": {"workspace": [{"frame": {"site": "hand"}, "normal": [0, 0, 1], "offset": 0.0}]}
     },
     "speed limits": {"limits": {"speed": {"hand": {"linear": 0.5}}}},
+    "programs without damping": {"damping": {"lambda": 0.0}},
     "backend osqp": {"solver": {"backend": "osqp"}},
 }
 

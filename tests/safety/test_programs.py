@@ -35,8 +35,8 @@ SHIFT = (0.1, -0.1, 0.1)
 SAME = 2e-5
 # Largest residual of a task in a program without damping, m/s.
 EXACT = 1e-5
-DEADLINE = 10.0
-"""µs, less than a step needs to evaluate its tasks."""
+DEADLINE = 1e-3
+"""µs, less than a step of any engine needs to evaluate its tasks."""
 LATE = 3.0
 """What a step without time may take, in multiples of what it takes to prepare its program."""
 ENDING = 150e-6

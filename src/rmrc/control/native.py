@@ -50,6 +50,9 @@ FUNCTIONS = (
 MOST_CHANGES = 10_000
 """Changes of the active set that a solve may use where the configuration says nothing."""
 
+SINGULAR = 1e-13
+"""Share of the largest weight below which a weight of all motions is lost in rounding."""
+
 _ROWLESS = (FreezeTerm, KineticEnergyTerm)
 _JOINT = {
     PostureTerm: "posture",
@@ -102,11 +105,30 @@ def lacking(problem: Problem) -> list[str]:
     found += ["speed limits"] * bool(problem.speeds)
     found += [f"{type(task).__name__} of mink's" for task in problem.mink_tasks]
     found += [f"{type(limit).__name__} of mink's" for limit in problem.mink_limits]
+    if not _definite(problem):
+        found.append("programs without damping")
     if config.solver.backend != "daqp":
         found.append(f"backend {config.solver.backend}")
     if config.solver.tolerance is not None:
         found.append("a tolerance of the backend's")
     return list(dict.fromkeys(found))
+
+
+def _definite(problem: Problem) -> bool:
+    """Return whether λ, the metric and the terms on the joints weigh every motion."""
+    if problem.inertia > 0.0:
+        return True
+    constant = problem.metric + problem.damping**2 * np.eye(problem.model.nv)
+    largest = constant.max()
+    for term in problem.terms:
+        if not term.rows or term.hard:
+            continue
+        weight = term.weight * problem.soft_ratio**term.level
+        largest = max(largest, weight.max())
+        if term.joint:
+            constant = constant + (np.diag(weight) if weight.ndim == 1 else weight)
+    values = np.linalg.eigvalsh(constant[np.ix_(problem.dofs, problem.dofs)])
+    return bool(values[0] > SINGULAR * largest)
 
 
 class NativeEngine(PythonEngine):

@@ -98,22 +98,25 @@ class Evaluation:
             mujoco.mj_tendon(self.model, self.data)
             mujoco.mj_makeConstraint(self.model, self.data)
 
-    def keep(self) -> "Kept":
+    def obstacles(self) -> tuple[Array, Array, Array]:
+        """Return copies of the mocap bodies' positions, quaternions and velocities."""
+        data = self.data
+        return data.mocap_pos.copy(), data.mocap_quat.copy(), self.obstacle_twist.copy()
+
+    def keep(self) -> Kept:
         """Return copies of the targets and of the mocap bodies as they are."""
-        data, obstacles = self.data, None
         moving = (bytes(self.moving), self.twists.copy()) if 1 in self.moving else None
-        if self.model.nmocap:
-            obstacles = data.mocap_pos.copy(), data.mocap_quat.copy(), self.obstacle_twist.copy()
+        obstacles = self.obstacles() if self.model.nmocap else None
         return Kept(self.targets.copy(), moving, obstacles)
 
-    def restore(self, kept: "Kept") -> None:
+    def restore(self, kept: Kept) -> None:
         """Put the targets and the mocap bodies where they were."""
-        data = self.data
         self.targets[:], self.feedforward[:] = kept.targets, 0.0
         self.moving[:] = bytes(len(self.moving))
         if kept.moving is not None:
             self.moving[:], self.twists[:] = kept.moving
         if kept.obstacles is not None:
+            data = self.data
             data.mocap_pos[:], data.mocap_quat[:], self.obstacle_twist[:] = kept.obstacles
 
     def move(self, q: Array, dofs: NDArray[np.intp], step: Array) -> None:
