@@ -7,6 +7,7 @@ import pytest
 import rmrc
 from models import REPOSITORY, config
 from rmrc import Status
+from rmrc.control import engines
 from rmrc.problem.limits.box import RANGE_ROUNDING
 
 PANDA = str(REPOSITORY / "scenes" / "panda.xml")
@@ -14,6 +15,17 @@ BIPED = str(REPOSITORY / "scenes" / "biped.xml")
 HAND = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}
 # The optimum of a program may sit this far from its bound: rounding of q ± v dt.
 ROUNDING = 1e-12
+
+
+@pytest.fixture(params=["python", "native"], autouse=True)
+def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold both engines to all of it."""
+    if request.param == "native":
+        pytest.importorskip(
+            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
+        )
+    else:
+        monkeypatch.setattr(engines, "_reason", lambda problem: "the Python engine is meant")
 
 
 def panda(*more, tasks=(), **others) -> rmrc.Controller:
