@@ -1,7 +1,10 @@
 """The whole step beside mink's: set the targets, solve, integrate; short runs, alternating.
 
+Where the targets will be is known before: what is timed is the work of the two, not of this file.
+
 Both have the same robot, tasks, weights, limits and dt, in one process. mink runs with the fastest
-of its backends that are installed. Prints median, p99 and the ratio of the medians, and the
+of its backends that are installed. Prints median, p99 and the ratio of the medians, the
+engine that `auto` takes and the median of the Python engine, and the
 machine they are of; `--json FILE` writes them. `make bench` keeps BLAS to one thread: at this size
 more threads only add noise.
 """
@@ -22,6 +25,7 @@ import numpy as np
 import qpsolvers
 
 import rmrc
+from rmrc.control.engines import Choice
 from rmrc.problem.limits.joints import HINGE_SPEED
 from rmrc.problem.problem import Problem
 
@@ -83,24 +87,28 @@ def compile_case(case: Case) -> Problem:
     )
 
 
-def ours(case: Case, problem: Problem) -> Callable[[np.ndarray], np.ndarray]:
-    """Return one step of rmrc's: targets moved by an offset in, configuration out."""
-    controller = rmrc.Controller(problem)
-    names = [name for _, name in case.frames]
-    poses = [(problem.term[n].target[4:].copy(), problem.term[n].target[:4].copy()) for n in names]
-    com = problem.term["com"].target.copy() if case.com else None
+def ours(
+    case: Case, problem: Problem, moves: np.ndarray, engine: Choice = "auto"
+) -> Callable[[int], np.ndarray]:
+    """Return step k of rmrc's, with its targets moved by moves[k]: configuration out."""
+    controller = rmrc.Controller(problem, engine=engine)
+    targets = [(name, problem.term[name].target) for _, name in case.frames]
+    poses = [(name, list(target[4:] + moves), target[:4].copy()) for name, target in targets]
+    points = list(problem.term["com"].target + moves) if case.com else None
 
-    def step(offset: np.ndarray) -> np.ndarray:
-        for name, (position, quaternion) in zip(names, poses, strict=True):
-            controller.set_target(name, position + offset, quaternion)
-        if com is not None:
-            controller.set_target("com", com + offset)
+    def step(k: int) -> np.ndarray:
+        for name, positions, quaternion in poses:
+            controller.set_target(name, positions[k], quaternion)
+        if points is not None:
+            controller.set_target("com", points[k])
         return controller.step().q
 
     return step
 
 
-def minks(case: Case, problem: Problem, solver: str) -> Callable[[np.ndarray], np.ndarray]:
+def minks(
+    case: Case, problem: Problem, solver: str, moves: np.ndarray
+) -> Callable[[int], np.ndarray]:
     """Return one step of mink's for the same work."""
     model = problem.model
     configuration = mink.Configuration(model, problem.start)
@@ -108,9 +116,13 @@ def minks(case: Case, problem: Problem, solver: str) -> Callable[[np.ndarray], n
     posture = mink.PostureTask(model, cost=1e-2, gain=GAIN)
     posture.set_target(problem.start)
     tasks: list[mink.Task] = [*frames, posture]
-    targets = [problem.term[name].target.copy() for _, name in case.frames]
+    still = np.zeros((len(moves), 4))
+    poses = [
+        [mink.SE3(pose) for pose in problem.term[name].target + np.hstack([still, moves])]
+        for _, name in case.frames
+    ]
     com = mink.ComTask(1.0, gain=GAIN)
-    com_target = problem.term["com"].target.copy() if case.com else np.zeros(3)
+    points = list(problem.term["com"].target + moves) if case.com else []
     if case.com:
         tasks.append(com)
     joints = [
@@ -123,13 +135,11 @@ def minks(case: Case, problem: Problem, solver: str) -> Callable[[np.ndarray], n
         mink.VelocityLimit(model, dict.fromkeys(joints, HINGE_SPEED)),
     ]
 
-    def step(offset: np.ndarray) -> np.ndarray:
-        for task, target in zip(frames, targets, strict=True):
-            moved = target.copy()
-            moved[4:] += offset
-            task.set_target(mink.SE3(moved))
-        if case.com:
-            com.set_target(com_target + offset)
+    def step(k: int) -> np.ndarray:
+        for task, targets in zip(frames, poses, strict=True):
+            task.set_target(targets[k])
+        if points:
+            com.set_target(points[k])
         v = mink.solve_ik(configuration, tasks, DT, solver, LAMBDA**2, limits=limits)
         configuration.integrate_inplace(v, DT)
         return configuration.q
@@ -148,14 +158,14 @@ def fastest_solver(case: Case, problem: Problem) -> str:
     medians = {}
     for solver in ("daqp", "proxqp", "quadprog", "osqp"):
         if solver in qpsolvers.available_solvers:
-            step = minks(case, problem, solver)
-            medians[solver] = np.median([_timed(step, offset) for offset in offsets(300)][100:])
+            step = minks(case, problem, solver, offsets(300))
+            medians[solver] = np.median([_timed(step, k) for k in range(300)][100:])
     return min(medians, key=lambda solver: medians[solver])
 
 
-def _timed(step: Callable[[np.ndarray], np.ndarray], offset: np.ndarray) -> float:
+def _timed(step: Callable[[int], np.ndarray], k: int) -> float:
     begin = time.perf_counter_ns()
-    step(offset)
+    step(k)
     return (time.perf_counter_ns() - begin) / 1e3
 
 
@@ -163,17 +173,21 @@ def measure(case: Case) -> dict[str, Any]:
     """Return both sides' times in µs over alternating steps."""
     problem = compile_case(case)
     solver = fastest_solver(case, problem)
-    rmrc_step, mink_step = ours(case, problem), minks(case, problem, solver)
-    times = np.empty((WARM_UP + STEPS, 2))
     moves = offsets(WARM_UP + STEPS)
+    sides = (
+        ours(case, problem, moves),
+        minks(case, problem, solver, moves),
+        ours(case, problem, moves, "python"),
+    )
+    times = np.empty((WARM_UP + STEPS, len(sides)))
     for begin in range(0, WARM_UP + STEPS, RUN):
-        for side, step in enumerate((rmrc_step, mink_step)):
+        for side, step in enumerate(sides):
             for k in range(begin, begin + RUN):
-                times[k, side] = _timed(step, moves[k])
+                times[k, side] = _timed(step, k)
     times = times[WARM_UP:]
-    # The two must have done the same work, or the times say nothing.
-    final = offsets(WARM_UP + STEPS)[-1]
-    apart = float(np.abs(rmrc_step(final) - mink_step(final)).max())
+    # All must have done the same work, or the times say nothing.
+    first, *others = (step(len(moves) - 1) for step in sides)
+    apart = max(float(np.abs(first - other).max()) for other in others)
     if apart > 1e-3:
         raise SystemExit(f"{case.name}: the two paths are {apart:.1e} apart: not the same work")
     medians, p99 = np.median(times, axis=0), np.percentile(times, 99, axis=0)
@@ -186,6 +200,8 @@ def measure(case: Case) -> dict[str, Any]:
         "mink_solver": solver,
         "mink_median_us": round(float(medians[1]), 2),
         "mink_p99_us": round(float(p99[1]), 2),
+        "engine": rmrc.Controller(problem).engine.name,
+        "python_median_us": round(float(medians[2]), 2),
         "ratio": round(float(medians[0] / medians[1]), 3),
     }
 
@@ -209,8 +225,10 @@ def main() -> None:
     if beside.is_dir():
         os.environ.setdefault("MENAGERIE_ROOT", str(beside))
     print(f"machine: {machine()}; dt {DT * 1e3:g} ms, {WARM_UP} + {STEPS} steps in runs of {RUN}")
-    print(f"{'case':8} {'nv':>3} {'tasks':>5} {'rmrc µs':>9} {'p99':>8}"
-          f" {'mink µs':>9} {'p99':>8} {'ratio':>6}  mink's solver")  # fmt: skip
+    print(
+        f"{'case':8} {'nv':>3} {'tasks':>5} {'rmrc µs':>9} {'p99':>8} {'mink µs':>9} {'p99':>8}"
+        f" {'ratio':>6} {'engine':>7} {'in Python':>9}  mink's solver"
+    )
     rows = []
     for case in CASES:
         try:
@@ -222,7 +240,8 @@ def main() -> None:
         print(
             f"{row['case']:8} {row['nv']:3} {row['tasks']:5} {row['rmrc_median_us']:9.1f}"
             f" {row['rmrc_p99_us']:8.1f} {row['mink_median_us']:9.1f} {row['mink_p99_us']:8.1f}"
-            f" {row['ratio']:6.2f}  {row['mink_solver']}"
+            f" {row['ratio']:6.3f} {row['engine']:>7} {row['python_median_us']:9.1f}"
+            f"  {row['mink_solver']}"
         )
     if arguments.json:
         arguments.json.write_text(json.dumps({"machine": machine(), "step": rows}, indent=2) + "\n")

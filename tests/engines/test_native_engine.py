@@ -211,6 +211,49 @@ def test_real_robots(robot: str, menagerie: Path) -> None:
     assert_equal(problem, steps=2000)
 
 
+def test_a_controller_takes_the_same_steps_and_tells_the_same_of_them() -> None:
+    tasks = [HAND, {"name": "posture", "type": "posture", "level": 1}]
+    problem = rmrc.compile(config(PANDA, tasks, limits=ROUGH, dt=0.01))
+    ours = [rmrc.Controller(problem, engine=engine) for engine in ("native", "python")]
+    rng = np.random.default_rng(0)
+    for k in range(900):
+        far, moving = (0.1 if k < 200 else 3.0), k < 200
+        if k % 200 == 0 and k < 500:
+            place = problem.term["hand"].target[4:] + rng.uniform(-far, far, 3)
+            twist = 0.1 * rng.normal(size=6)
+            for controller in ours:
+                assert controller.set_target("hand", place, velocity=twist if moving else None)
+        measured = None if k % 3 else ours[1].q
+        native, python = (controller.step(measured) for controller in ours)
+        # Each goes on from its own q: what differs in a step stays small, and does not add up.
+        np.testing.assert_allclose(native.v, python.v, rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(native.q, python.q, rtol=0.0, atol=1e-6)
+        assert native.flags == python.flags
+        for name, error in python.error.items():
+            np.testing.assert_allclose(native.error[name], error, rtol=0.0, atol=1e-6)
+    assert rmrc.Status.STUCK in native.flags
+    old = ours[0].step()
+    before = old.explain()
+    ours[0].set_target("hand", problem.term["hand"].target[4:])
+    ours[0].step()
+    assert str(old.explain()) == str(before)
+
+
+def test_what_is_not_plain_is_taken_as_it_is_meant() -> None:
+    problem = rmrc.compile(config(PANDA, [HAND]))
+    plain, other = rmrc.Controller(problem), rmrc.Controller(problem)
+    place, q = problem.term["hand"].target[4:] + 0.05, problem.start
+    assert plain.set_target("hand", place)
+    assert other.set_target("hand", place.tolist())
+    wide = np.repeat(q, 2)[::2]
+    for given in (q.tolist(), wide):
+        assert np.array_equal(plain.step(q).v, other.step(given).v)
+    assert not plain.set_target("hand", np.full(3, np.nan))
+    assert rmrc.Status.INVALID_INPUT in plain.step().flags
+    assert plain.step(np.full(7, np.nan)).status is rmrc.Status.INVALID_INPUT
+    assert plain.step(q, dt=-1.0).status is rmrc.Status.INVALID_INPUT
+
+
 def test_runs_are_the_same_bit_by_bit() -> None:
     runs = []
     for _ in range(2):
