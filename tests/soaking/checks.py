@@ -131,10 +131,13 @@ class Checker:
         return found
 
     def _ranges(self, moment: Moment, step: Step) -> dict[str, float]:
-        """Return the violations of the ranges, and of a monotonic way back into them."""
-        box = self._problem.box
+        """Return the violations of the ranges, and of a monotonic way back into them.
+
+        A joint that could have stopped in its range still can: v²/2a ≤ q_max − q, mirrored below.
+        """
+        box, dofs = self._problem.box, self._problem.dofs
         before, after = moment.q[box.coordinate], step.q[box.coordinate]
-        v = moment.v[self._problem.dofs]
+        v, following = moment.v[dofs], step.v[dofs]
         found = {"position": -np.inf, "return": -np.inf}
         inside = np.ones(v.size, dtype=bool)
         for sign, end in ((1.0, box.upper), (-1.0, box.lower)):
@@ -144,10 +147,12 @@ class Checker:
             inside &= room >= 0.0
             stops = (room >= 0.0) & (outward**2 / (2.0 * box.acceleration) <= room + AT_REST)
             returns = (room < 0.0) & (outward <= box.acceleration * moment.dt)
-            found["position"] = max(found["position"], float(beyond[stops].max(initial=-np.inf)))
+            braking = np.maximum(sign * following, 0.0) ** 2 / (2.0 * box.acceleration)
+            passed = (beyond + braking)[stops]
+            found["position"] = max(found["position"], float(passed.max(initial=-np.inf)))
             growth = beyond[returns] + room[returns]
             found["return"] = max(found["return"], float(growth.max(initial=-np.inf)))
-        still = np.maximum(np.abs(v), np.abs(moment.a[self._problem.dofs])) <= AT_REST
+        still = np.maximum(np.abs(v), np.abs(moment.a[dofs])) <= AT_REST
         self._calm |= still & inside
         return found
 

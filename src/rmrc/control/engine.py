@@ -11,7 +11,7 @@ from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
-from rmrc.qp.backends import Backend, create
+from rmrc.qp.backends import HEALTHY, Backend, create
 from rmrc.qp.cascade import WHOLE, Cascade
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Solution, SolveStatus
@@ -26,6 +26,8 @@ relative to the largest of 1 and ‖g‖, in the program's unit."""
 MOST_SHAPES = 256
 """Numbers of rows for which a backend is kept."""
 
+_SOLVED = SolveStatus.SOLVED  # to look it up takes 0.1 µs
+
 
 @dataclass(eq=False)
 class _Solver:
@@ -36,6 +38,8 @@ class _Solver:
     certificate: Certificate
     ready: bool = False
     """Whether the backend can start from its last solution."""
+    warm: bool = False
+    """Whether the last solve did so."""
 
 
 class PythonEngine:
@@ -54,6 +58,8 @@ class PythonEngine:
         self._shortening = Shortening(problem) if problem.barriers else None
         self._solvers: dict[tuple[int, int], _Solver] = {}
         self._solver = self._solver_of(self.assembly.qp)
+        hard = any(term.hard for term in self.evaluation.terms)
+        self._box_alone = not (self.rows.any or hard)
         directed = any(term.preserve for term in problem.terms)
         self._cascade = (
             Cascade(problem.dofs.size, self._new_backend) if problem.strict or directed else None
@@ -99,10 +105,11 @@ class PythonEngine:
         box nearest to rest. Its v is then shortened where distances would be passed.
         """
         self.outside = self.prepare(q, v_previous, dt)
-        self.scaled, self.share = False, 1.0
-        solution = self._descend_ladder()
-        if self._shortening is not None and self.rows.blocks:
-            self._shorten(self._shortening, solution, dt)
+        self.scaled = False
+        solution = self._best()
+        if not self._trusted(solution):
+            solution = self._descend_ladder(solution)
+        self.keep_distances(solution, dt)
         return solution
 
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
@@ -110,15 +117,16 @@ class PythonEngine:
 
         Return whether a joint is outside its range, or a distance below its limit.
         """
-        evaluation, assembly, rows = self.evaluation, self.assembly, self.rows
+        evaluation, assembly = self.evaluation, self.assembly
         evaluation.v_previous[:] = v_previous
         evaluation.update(q)
         evaluation.evaluate()
         outside = assembly.assemble(q, dt)
+        if self._box_alone:
+            return outside
         equalities = assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
-        if not rows.any and equalities is None:
-            return outside
+        rows = self.rows
         rows.update(assembly.box, assembly.rate, dt)
         count = 0 if equalities is None else equalities.right.size
         if (rows.count, count) != (assembly.qp.lo.size, assembly.qp.f.size):
@@ -131,9 +139,9 @@ class PythonEngine:
         self._solver = self._solver_of(qp)
         return outside or rows.passed
 
-    def _descend_ladder(self) -> Solution:
-        """Return the solution of the first rung that holds."""
-        solution, qp = self._best(), self.assembly.qp
+    def _descend_ladder(self, failed: Solution) -> Solution:
+        """Return the solution of the first rung that holds, from a cold start on."""
+        solution, qp = self._from_cold(failed), self.assembly.qp
         if self._trusted(solution):
             return solution
         if not (qp.lo.size or qp.f.size):
@@ -142,7 +150,7 @@ class PythonEngine:
             violation = least_violation(qp)
             if violation is not None:
                 self.relaxed |= violation > INCONSISTENT
-                solution = self._best()
+                solution = self._from_cold(self._best())
         if self._trusted(solution) or self._feasible(solution):
             return solution
         self.relaxed = True
@@ -153,39 +161,42 @@ class PythonEngine:
         return self._stop(solution)
 
     def _best(self) -> Solution:
-        """Return the optimum of the program, from a warm and then from a cold start."""
-        qp, solver = self.assembly.qp, self._solver
-        if self._cascade is not None:
-            self._cascade.deadline = self.deadline
-            solution = self._cascade.solve(self.assembly.levels(), qp)
-            self.scaled = self._cascade.scale < 1.0 - WHOLE
-            return solution
-        warm = solver.ready
-        solution = self._attempt(solver)
-        if warm and not self._trusted(solution) and self._in_time():
-            solver.ready = False
-            solution = self._attempt(solver)
+        """Return the optimum of the program, from a warm start where there is one."""
+        if self._cascade is None:
+            return self._attempt(self._solver)
+        self._cascade.deadline = self.deadline
+        solution = self._cascade.solve(self.assembly.levels(), self.assembly.qp)
+        self.scaled = self._cascade.scale < 1.0 - WHOLE
         return solution
+
+    def _from_cold(self, solution: Solution) -> Solution:
+        """Return the optimum from a cold start, where a warm one led to another point."""
+        solver = self._solver
+        again = self._cascade is None and solver.warm and not self._trusted(solution)
+        if not again or not self._in_time():
+            return solution
+        solver.ready = False
+        return self._attempt(solver)
 
     def _attempt(self, solver: _Solver) -> Solution:
         if self.deadline < math.inf:
             solver.backend.allow(self.deadline - perf_counter())
-        if solver.ready:
+        solver.warm = solver.ready
+        if solver.warm:
             solver.backend.update(solver.qp)
         else:
             solver.backend.setup(solver.qp)
-            solver.ready = True
         solution = solver.backend.solve()
         solver.certificate.certify(solution)
         # What ran out of time goes on from where it got to.
-        solver.ready = solution.status in (SolveStatus.SOLVED, SolveStatus.TIME_LIMIT)
+        solver.ready = solution.status in HEALTHY
         return solution
 
     def _in_time(self) -> bool:
         return self.deadline == math.inf or perf_counter() < self.deadline
 
     def _trusted(self, solution: Solution) -> bool:
-        if solution.status is not SolveStatus.SOLVED:
+        if solution.status is not _SOLVED:
             return False
         primal, dual, complementarity = solution.kkt
         if primal > CERTIFIED:
@@ -221,10 +232,13 @@ class PythonEngine:
         v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
 
-    def _shorten(self, shortening: Shortening, solution: Solution, dt: float) -> None:
+    def keep_distances(self, solution: Solution, dt: float) -> None:
         """Shorten v towards the brake where a distance would be passed at the end of the step."""
+        self.share = 1.0
+        if self._shortening is None or not self.rows.blocks:
+            return
         evaluation, brake = self.evaluation, self._brake()
-        self.share, passed = shortening.share(
+        self.share, passed = self._shortening.share(
             evaluation.data, evaluation.obstacle_twist, solution.v, brake, self.rows.blocks, dt
         )
         if self.share < 1.0:

@@ -195,6 +195,9 @@ class ClosedFormEngine:
     def reset(self) -> None:
         """A closed form remembers nothing."""
 
+    def keep_distances(self, solution: Solution, dt: float) -> None:
+        """Do nothing: a closed form keeps no distances."""
+
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
         """Evaluate and assemble without solving; return whether a joint is outside its range."""
         self.evaluation.v_previous[:] = v_previous

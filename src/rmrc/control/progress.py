@@ -31,7 +31,7 @@ class Progress:
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation, assembly: Assembly):
-        self._evaluation, self._assembly, self._dofs = evaluation, assembly, problem.dofs
+        self._evaluation, self._assembly, self._dofs = evaluation, assembly, _run(problem.dofs)
         tolerance = problem.config.tolerance
         limit = {"m": tolerance.position, "rad": tolerance.orientation}
         self._terms = [
@@ -40,7 +40,7 @@ class Progress:
             if term.decisive and not term.joint and term.level == 0
         ]
         parts = [np.arange(part.start, part.stop) for _, part, _ in self._terms]
-        self._rows = np.concatenate([*parts, np.zeros(0, np.intp)]).astype(np.intp)
+        self._rows = _run(np.concatenate([*parts, np.zeros(0, np.intp)]).astype(np.intp))
         weights = [_diagonal(term) for term, _, _ in self._terms]
         self._weight = np.concatenate([*weights, np.zeros(0)])
         tolerances = [_row_tolerances(term, limit) for term, _, _ in self._terms]
@@ -64,21 +64,27 @@ class Progress:
         self.stuck = self._without >= WINDOW
 
     def _stands(self, v: Array) -> bool:
-        evaluation = self._evaluation
-        if not any(
-            (term.measure(evaluation.error[part]) > limits).any()
-            for term, part, limits in self._terms
-        ):
-            return False
-        rows, weight = self._rows, self._weight
+        evaluation, rows = self._evaluation, self._rows
         error = evaluation.error[rows]
-        pull = weight * error
+        pull = self._weight * error
         length = math.sqrt(max(pull.dot(error), 0.0))
         if length == 0.0:
             return False
         asked = pull.dot(self._assembly.rate[rows]) / length
-        speed = pull.dot(evaluation.jacobian[np.ix_(rows, self._dofs)] @ v) / length
-        return speed < min(TOLERANCES * self._tolerance, SHARE * asked)
+        slope = pull.dot(evaluation.jacobian[rows])[self._dofs]
+        if not slope.dot(v) / length < min(TOLERANCES * self._tolerance, SHARE * asked):
+            return False
+        return any(
+            (term.measure(evaluation.error[part]) > limits).any()
+            for term, part, limits in self._terms
+        )
+
+
+def _run(indices: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return indices as the slice that they are, if they are one: it needs no copy."""
+    if indices.size and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
 
 
 def _diagonal(term: Term) -> Array:

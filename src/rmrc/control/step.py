@@ -87,7 +87,6 @@ class Moment:
     """What a step was computed from, kept so that it can be explained later."""
 
     __slots__ = (
-        "_blocks",
         "_moving",
         "_obstacles",
         "_rows",
@@ -95,6 +94,7 @@ class Moment:
         "a_previous",
         "dt",
         "engine",
+        "error",
         "q",
         "share",
         "v_previous",
@@ -112,11 +112,11 @@ class Moment:
         self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
         self.share = engine.share
         evaluation = engine.evaluation
-        self._targets = evaluation.targets.copy()
+        self.error, self._targets = evaluation.error.copy(), evaluation.targets.copy()
         self._moving = self._obstacles = None
         if evaluation.moving:
             self._moving = (set(evaluation.moving), evaluation.twists.copy())
-        if evaluation.model.nmocap:
+        if evaluation.obstacle_twist.size:
             self._obstacles = evaluation.obstacles()
         self._rows = engine.rows.kept() if engine.rows.count else None
 
@@ -154,14 +154,13 @@ class Moment:
 class Step:
     """One control step: the command, and what there is to know about it."""
 
-    __slots__ = ("error", "flag_bits", "moment", "q", "solution", "v")
+    __slots__ = ("flag_bits", "moment", "q", "solution", "v")
 
     def __init__(
         self,
         v: Array,
         q: Array,
         flag_bits: int,
-        error: Errors,
         solution: Solution,
         moment: Moment,
     ):
@@ -171,8 +170,6 @@ class Step:
         """Configuration (nq,) that v leads to in one step."""
         self.flag_bits = flag_bits
         """The statuses that hold, bit k for the status of value k."""
-        self.error = error
-        """True errors of the tasks before the step, by name."""
         self.solution = solution
         """What the backend returned, with its certificate."""
         self.moment = moment
@@ -183,6 +180,11 @@ class Step:
         from rmrc.control.explain import explain  # which needs this module
 
         return explain(self)
+
+    @property
+    def error(self) -> Errors:
+        """True errors of the tasks before the step, by name."""
+        return Errors(self.moment.engine.evaluation, self.moment.error)
 
     @property
     def status(self) -> Status:

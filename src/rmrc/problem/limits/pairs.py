@@ -19,6 +19,8 @@ _T = mujoco.mjtGeom
 _UNMEASURED = (_T.mjGEOM_HFIELD, _T.mjGEOM_SDF)
 _DISABLE = mujoco.mjtDisableBit
 
+MESHES_RIGHT = 4
+"""Major version of MuJoCo from which on distances of meshes are right (its issue 3383)."""
 SHOWN = 4
 """Pairs that a notice names."""
 
@@ -105,7 +107,14 @@ class _Resolver:
         pairs = np.argwhere(np.triu(wanted))
         swapped = np.diff(self._model.geom_type[pairs], axis=1)[:, 0] < 0
         pairs[swapped] = pairs[swapped, ::-1]
-        return pairs, [f"pairs of geoms that collision keeps apart: {len(pairs)}", *self._notices]
+        kept = [f"pairs of geoms that collision keeps apart: {len(pairs)}"]
+        meshes = (self._model.geom_type[pairs] == _T.mjGEOM_MESH).any()
+        if meshes and int(mujoco.__version__.split(".")[0]) < MESHES_RIGHT:
+            kept.append(
+                f"MuJoCo {mujoco.__version__} may take meshes that are apart for touching: "
+                f"take {MESHES_RIGHT}.0 or later"
+            )
+        return pairs, [*kept, *self._notices]
 
     def _reasons(self) -> str:
         return "; ".join(self._notices) or "no joint moves two geoms that may collide"
