@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-slow lint bench schema clean
+.PHONY: demo test test-slow lint bench soak schema clean
 
 # The stamp is newer than pyproject.toml when the environment has what the project asks for.
 $(VENV)/demo.stamp: pyproject.toml
@@ -33,6 +33,9 @@ lint: $(VENV)/test.stamp
 bench: $(VENV)/test.stamp
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/step.py
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/methods.py
+
+soak: $(VENV)/test.stamp
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/soak.py --json bench/results.json
 
 schema: $(VENV)/test.stamp
 	$(BIN)/rmrc schema > rmrc.schema.json

@@ -1,14 +1,15 @@
 """Random steps in all scenes, each held to what a step promises; prints what came of them.
 
 Targets near, far and out of reach, pushes, limits that change on the way, obstacles that move, bad
-and missing inputs: every step must be finite, inside its limits and certified, or say why it is not.
-What breaks a promise is printed with the command that does it again. `--json FILE` writes the
-figures under `soak` into a file, beside what is there.
+and missing inputs: every step must be finite, inside its limits, and certified or reported. What
+breaks a promise is printed with the command that does it again. `--json FILE` writes the figures
+under `soak` into a file, beside what is there.
 """
 
 import argparse
 import json
 import os
+import signal
 import sys
 import time
 from collections import Counter
@@ -17,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich.progress import Progress
+
 from step import machine
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -29,12 +31,18 @@ EPISODE = 1000
 """Steps of one configuration."""
 ROUNDS = 4
 """Times that every scene has its turn; memory counts from the end of the first."""
+HUNG = 120
+"""Seconds after which a step is given up."""
 
 
 def resident() -> float:
     """Return the memory of this process in MB, 0 where the system does not say."""
     pages = Path("/proc/self/statm")
-    return int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 if pages.exists() else 0.0
+    return (
+        int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        if pages.exists()
+        else 0.0
+    )
 
 
 def shares(scenes: list[Scene], steps: int) -> dict[str, int]:
@@ -43,12 +51,17 @@ def shares(scenes: list[Scene], steps: int) -> dict[str, int]:
     return {scene.name: round(steps * scene.share / whole) for scene in scenes}
 
 
+def _give_up(*_: object) -> None:
+    raise TimeoutError(f"no end after {HUNG} s")
+
+
 def soak(steps: int, scenes: list[Scene], first: int, progress: Progress) -> dict[str, Any]:
     """Return the figures of some steps over scenes, with seeds from the first on."""
     figures, failures, done, begin = Figures(), [], Counter(), time.perf_counter()
     wanted, memory = shares(scenes, steps), [resident()]
     task = progress.add_task("soak", total=sum(wanted.values()))
     seed = first
+    signal.signal(signal.SIGALRM, _give_up)
     with TemporaryDirectory() as folder:
         for turn in range(ROUNDS):
             for scene in scenes:
@@ -56,6 +69,7 @@ def soak(steps: int, scenes: list[Scene], first: int, progress: Progress) -> dic
                     count = min(EPISODE, wanted[scene.name] - done[scene.name])
                     try:
                         for _ in Episode(scene, seed, Path(folder)).run(count, figures):
+                            signal.alarm(HUNG)
                             done[scene.name] += 1
                             progress.advance(task)
                     except Violation as broken:
@@ -64,6 +78,7 @@ def soak(steps: int, scenes: list[Scene], first: int, progress: Progress) -> dic
                         done[scene.name] += 1
                     seed += 1
             memory.append(resident())
+    signal.alarm(0)
     seconds = time.perf_counter() - begin
     return {
         "steps": figures.steps,
@@ -75,6 +90,7 @@ def soak(steps: int, scenes: list[Scene], first: int, progress: Progress) -> dic
         "largest_kkt": float(f"{figures.kkt:.3g}"),
         "broken_promises": len(failures),
         "memory_growth_mb": round(memory[-1] - memory[1], 1),
+        "slowest_step_ms": round(1e3 * figures.slowest, 1),
         "steps_per_second": round(figures.steps / seconds),
     }
 

@@ -87,7 +87,7 @@ def plane(by: float) -> dict[str, Any]:
 
 
 def pair(by: float) -> dict[str, Any]:
-    # The palm starts at a height of 0.5545 m.
+    # The palm starts at a height of 0.5585 m.
     d_min = 0.554 - by * DT / 0.9
     between = {"pairs": [["palm", "floor"]], "d_min": d_min, "detect": 1.0, "gain": 0.9}
     return {"collision": between}
@@ -272,12 +272,12 @@ def test_an_old_step_is_explained_as_a_new_one(busy: rmrc.Problem, backend: str)
 def test_explaining_leaves_no_trace(busy: rmrc.Problem, backend: str) -> None:
     asked, twin = (rmrc.Controller(with_backend(busy, backend)) for _ in range(2))
     steps = []
-    for k in range(80):
+    for k in range(20, 60):
         first, second = drive(asked, k), drive(twin, k)
         assert first.flags == second.flags
         np.testing.assert_array_equal(first.v, second.v)
         steps.append(first)
-        for step in (first, steps[k // 2], steps[0]):
+        for step in (first, steps[len(steps) // 2], steps[0]):
             step.explain()
 
 
@@ -351,7 +351,7 @@ def test_why_gives_every_step_its_recorded_status(stuck_run: Path) -> None:
         ((".",), ""),
         (("RUN", "--step", "61"), "the run has the steps 0 to 60, and no step 61"),
         (("RUN", "--step", "-1"), "and no step -1"),
-        (("RUN", "--step", "last"), "last"),
+        (("RUN", "--step", "last"), "--step"),
         (("RUN", "--stp", "1"), "--stp"),
         ((), "RUN"),
     ],

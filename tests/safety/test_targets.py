@@ -89,8 +89,8 @@ def reach(robot: str) -> tuple[Array, Array]:
         hand = made.forward(checked.q)["hand"]
         hand[:3, 3] += 0.4 * (hand[:3, 3] - shoulder)
         checked.aim(hand)
-        history = approach(checked)
-    assert history.calm
+        approach(checked)
+    assert approach(checked).calm
     return shoulder, made.forward(checked.q)["hand"][:3, 3]
 
 

@@ -14,6 +14,7 @@ from rmrc.problem.problem import Problem
 from rmrc.qp.program import QP, Solution, SolveStatus
 
 Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
 
 EXACT = 1e-9
 """Largest violation of a joint limit: in rad, rad/s or rad/s times dt, or m."""
@@ -62,6 +63,16 @@ class Moment:
     """Whether what came in leaves nothing but to brake."""
     invalid: bool
     """Whether something that came in is not valid."""
+
+
+def carried(data: mujoco.MjData, twist: Array, dt: float) -> tuple[Array, Array]:
+    """Return the positions and quaternions of the mocap bodies after a step of dt."""
+    quaternions = data.mocap_quat.copy()
+    for quaternion, rate in zip(quaternions, twist[:, 3:], strict=True):
+        turn, angle = np.empty(4), float(np.linalg.norm(rate))
+        mujoco.mju_axisAngle2Quat(turn, rate / (angle or 1.0), angle * dt)
+        mujoco.mju_mulQuat(quaternion, turn, quaternion.copy())
+    return data.mocap_pos + twist[:, :3] * dt, quaternions
 
 
 class Checker:
@@ -165,7 +176,7 @@ class Checker:
 
     def _rows(self, moment: Moment, step: Step, controller: rmrc.Controller) -> dict[str, float]:
         """Return the violations of frame speeds, planes and distances."""
-        problem, data, flags = self._problem, self._data, step.flag_bits
+        problem, flags = self._problem, step.flag_bits
         if flags >> Status.RELAXED & 1 or not (problem.speeds or problem.barriers):
             return {}
         obstacles = controller.engine.evaluation.data
@@ -175,13 +186,7 @@ class Checker:
             found["speed"] = self._speed(step.v)
         heights = self._heights()
         pairs, distances = self._distances()
-        quaternions = obstacles.mocap_quat.copy()
-        for quaternion, twist in zip(quaternions, moment.twist, strict=True):
-            turn = np.empty(4)
-            angle = float(np.linalg.norm(twist[3:]))
-            mujoco.mju_axisAngle2Quat(turn, twist[3:] / (angle or 1.0), angle * moment.dt)
-            mujoco.mju_mulQuat(quaternion, turn, quaternion.copy())
-        self._move_to(step.q, obstacles.mocap_pos + moment.twist[:, :3] * moment.dt, quaternions)
+        self._move_to(step.q, *carried(obstacles, moment.twist, moment.dt))
         fallen = np.minimum(heights, 0.0) - self._heights()
         found["workspace"] = float(fallen.max(initial=-np.inf))
         reached, after = self._distances()
@@ -220,7 +225,7 @@ class Checker:
             ]
         )
 
-    def _distances(self) -> tuple[Array, Array]:
+    def _distances(self) -> tuple[Pairs, Array]:
         """Return the pairs (k, 2) that may be nearer than d_min, and their distances (k,)."""
         if not self._pairs.size:
             return self._pairs, np.zeros(0)

@@ -78,6 +78,12 @@ class SpeedLimit(Model):
     angular: Positive | None = None
     """Largest angular speed, rad/s."""
 
+    @model_validator(mode="after")
+    def _some(self) -> "SpeedLimit":
+        if self.linear is None and self.angular is None:
+            raise ValueError("give linear, angular or both, as in {linear: 0.25}")
+        return self
+
 
 class WorkspacePlane(Model):
     """A plane that the origin of a frame stays in front of: nᵀp ≥ offset."""

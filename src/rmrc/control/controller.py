@@ -88,7 +88,7 @@ class Controller:
             a: Its acceleration (nv,).
 
         Raises:
-            ModelError: If q is not a configuration of this model.
+            ModelError: If q, v or a does not fit this model.
         """
         evaluation = self._evaluation
         if q is not None:
@@ -100,9 +100,7 @@ class Controller:
             self._q = valid
         else:
             self._q = self.problem.start.copy()
-        nv = self._model.nv
-        self._v = np.zeros(nv) if v is None else np.array(v, dtype=float)
-        self._a = np.zeros(nv) if a is None else np.array(a, dtype=float)
+        self._v, self._a = self._rates("v", v), self._rates("a", a)
         self._refused = False
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
@@ -121,6 +119,15 @@ class Controller:
             evaluation.target[term.name][:] = term.target
             evaluation.stop(term.name)
         self.engine.reset()
+
+    def _rates(self, name: str, rates: ArrayLike | None) -> Array:
+        """Return rates (nv,) that are given, or zeros."""
+        if rates is None:
+            return np.zeros(self._model.nv)
+        valid = self._configurations.read_velocity(rates)
+        if valid is None:
+            raise ModelError(f"{name} must be {self._model.nv} finite numbers")
+        return valid
 
     def set_target(
         self,
@@ -216,8 +223,10 @@ class Controller:
             previous = self._previous(q is not None, valid, v, dt)
             if previous is None:
                 return self._brake(dt, _INVALID_INPUT)
-        if self._timed and self._stale(q is not None, age):
-            return self._brake(dt, _STALE)
+        if self._timed:
+            stale = self._stale(q is not None, age)
+            if stale is not False:
+                return self._brake(dt, _STALE if stale else _INVALID_INPUT)
         if self._jerk:
             self._evaluation.a_previous[:] = self._a
         solution = self.engine.solve(valid, previous, dt)
@@ -235,15 +244,21 @@ class Controller:
         mujoco.mj_differentiatePos(self._model, found, dt, before, q)
         return found
 
-    def _stale(self, measured: bool, age: float) -> bool:
-        """Return whether the measurement or a target that was set is older than its timeout."""
+    def _stale(self, measured: bool, age: object) -> bool | None:
+        """Return whether the measurement or a target that was set is older than its timeout.
+
+        None if the age of the measurement is no age.
+        """
         problem, now = self.problem, self._clock
         if measured:
-            self._measured_at = now - (age if age >= 0.0 else math.inf)  # NaN has no age either
+            seconds = _number(age)
+            if seconds is None or not seconds >= 0.0:  # NaN is not
+                return None
+            self._measured_at = now - seconds
         oldest = min(self._set_at.values(), default=now)
         return (
             now - oldest > problem.target_timeout + TICK_ROUNDING
-            or not now - self._measured_at <= problem.measurement_timeout + TICK_ROUNDING
+            or now - self._measured_at > problem.measurement_timeout + TICK_ROUNDING
         )
 
     def _carried_out(
@@ -342,8 +357,15 @@ class Controller:
 
     def _seconds(self, dt: object) -> float | None:
         """Return a length of a step in s, or None if it is none."""
-        try:
-            seconds = float(dt)  # type: ignore[arg-type]
-        except (TypeError, ValueError, OverflowError):
-            return None
-        return seconds if SHORTEST <= seconds <= LONGEST else None
+        seconds = _number(dt)
+        return seconds if seconds is not None and SHORTEST <= seconds <= LONGEST else None
+
+
+def _number(value: object) -> float | None:
+    """Return a number as a float; None for what is none, a text of digits included."""
+    if isinstance(value, (str, bytes)):
+        return None
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return None

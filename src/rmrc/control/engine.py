@@ -153,8 +153,8 @@ class PythonEngine:
                 solution = self._from_cold(self._best())
         if self._trusted(solution) or self._feasible(solution):
             return solution
-        self.relaxed = True
         if self._in_time():
+            self.relaxed = True
             solution = self._without_rows(qp)
             if self._trusted(solution) or self._feasible(solution):
                 return solution

@@ -114,6 +114,12 @@ def ignored(problem: Problem) -> list[Term]:
 def shortcomings(problem: Problem) -> list[str]:
     """Return what the problem's method cannot honour, a sentence each."""
     method, lines = problem.config.method, []
+    follow = problem.config.follow
+    if follow != "rate" and problem.barriers:
+        lines.append(
+            f"follow {follow} shortens its commands where a distance would be passed, but does not "
+            "evade what moves towards the robot"
+        )
     if method == "qp":
         return lines
     if method not in WITHIN_LIMITS:

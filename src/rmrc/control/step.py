@@ -48,13 +48,13 @@ ADVICE = {
     Status.LIMITED: "Solved; at least one joint is at a limit, so the task may lag behind.",
     Status.SCALED: "A direction-preserving task runs slower than asked, to stay inside the limits.",
     Status.DAMPED: "The damping is above its floor: near a singularity, or far from the target.",
-    Status.RECOVERING: "A joint is outside its range and is moving back inside.",
+    Status.RECOVERING: "A joint or a distance is outside its limit and is moving back inside.",
     Status.RELAXED: "A collision or equality row could not hold and was given slack.",
     Status.STUCK: "The error is above tolerance and no progress is possible inside the limits.",
     Status.MAX_ITER: "The solver gave no certified optimum; v is a feasible point or braking.",
     Status.DEADLINE: "The solver ran out of its time budget; v is a feasible point.",
     Status.STALE: "The target or the measurement is older than its timeout; the robot is braking.",
-    Status.INVALID_INPUT: "An input was not valid: a bad target is ignored, a bad q or dt brakes.",
+    Status.INVALID_INPUT: "An input was not valid: a bad target is ignored, any other bad input brakes.",
 }
 
 

@@ -203,9 +203,12 @@ class Collision(Barrier):
         """Return the pair, of those that are not active, with the least distance or bound of it."""
         while True:
             pair = int(self._bound.argmin())
-            if pair in self._measured or self._bound[pair] > self._detect:
+            if self._bound[pair] > self._detect:
                 return pair
-            self._bound[pair] = self._measure(data, pair)
+            distance = self._measure(data, pair)
+            if self._bound[pair] == distance:
+                return pair
+            self._bound[pair] = distance
 
     def _extend(self, travel: Array, dt: float) -> None:
         """Join the travel of the dofs with that of the mocap bodies."""
