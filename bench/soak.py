@@ -13,6 +13,7 @@ import signal
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -45,54 +46,66 @@ def resident() -> float:
     )
 
 
-def shares(scenes: list[Scene], steps: int) -> dict[str, int]:
-    """Return the number of steps of each scene."""
-    whole = sum(scene.share for scene in scenes)
-    return {scene.name: round(steps * scene.share / whole) for scene in scenes}
-
-
 def _give_up(*_: object) -> None:
     raise TimeoutError(f"no end after {HUNG} s")
 
 
-def soak(steps: int, scenes: list[Scene], first: int, progress: Progress) -> dict[str, Any]:
-    """Return the figures of some steps over scenes, with seeds from the first on."""
-    figures, failures, done, begin = Figures(), [], Counter(), time.perf_counter()
-    wanted, memory = shares(scenes, steps), [resident()]
-    task = progress.add_task("soak", total=sum(wanted.values()))
-    seed = first
-    signal.signal(signal.SIGALRM, _give_up)
-    with TemporaryDirectory() as folder:
-        for turn in range(ROUNDS):
-            for scene in scenes:
-                while done[scene.name] * ROUNDS < wanted[scene.name] * (turn + 1):
-                    count = min(EPISODE, wanted[scene.name] - done[scene.name])
-                    try:
-                        for _ in Episode(scene, seed, Path(folder)).run(count, figures):
-                            signal.alarm(HUNG)
-                            done[scene.name] += 1
-                            progress.advance(task)
-                    except Violation as broken:
-                        failures.append(str(broken))
-                        progress.console.print(f"{scene.name}: {broken}", highlight=False)
-                        done[scene.name] += 1
-                    seed += 1
-            memory.append(resident())
-    signal.alarm(0)
-    seconds = time.perf_counter() - begin
-    return {
-        "steps": figures.steps,
-        "scenes": dict(done),
-        "configurations": seed - first,
-        "statuses": dict(figures.statuses.most_common()),
-        "braking_steps": figures.braking,
-        "worst": {kind: float(f"{worst:.3g}") for kind, worst in figures.worst.items()},
-        "largest_kkt": float(f"{figures.kkt:.3g}"),
-        "broken_promises": len(failures),
-        "memory_growth_mb": round(memory[-1] - memory[1], 1),
-        "slowest_step_ms": round(1e3 * figures.slowest, 1),
-        "steps_per_second": round(figures.steps / seconds),
-    }
+class Soak:
+    """Goes round the scenes, and keeps count."""
+
+    def __init__(self, scenes: list[Scene], steps: int, seed: int):
+        self._scenes, self._first, self._seed = scenes, seed, seed
+        whole = sum(scene.share for scene in scenes)
+        self._wanted = {scene.name: round(steps * scene.share / whole) for scene in scenes}
+        self._done: Counter[str] = Counter()
+        self._figures = Figures()
+        self._broken = 0
+        self._memory: list[float] = []
+
+    def run(self, progress: Progress) -> dict[str, Any]:
+        """Return the figures of all steps, or of those so far after an interrupt (Ctrl-C)."""
+        task = progress.add_task("soak", total=sum(self._wanted.values()))
+        begin = time.perf_counter()
+        signal.signal(signal.SIGALRM, _give_up)
+        with TemporaryDirectory() as folder, suppress(KeyboardInterrupt):
+            for turn in range(1, ROUNDS + 1):
+                for scene in self._scenes:
+                    while self._done[scene.name] * ROUNDS < self._wanted[scene.name] * turn:
+                        self._episode(scene, Path(folder), progress)
+                        progress.update(task, completed=self._done.total())
+                self._memory.append(resident())
+        signal.alarm(0)
+        return self._summary(time.perf_counter() - begin)
+
+    def _episode(self, scene: Scene, folder: Path, progress: Progress) -> None:
+        """Walk from one seed, as far as no promise is broken; a broken one counts as a step."""
+        count = min(EPISODE, self._wanted[scene.name] - self._done[scene.name])
+        try:
+            signal.alarm(HUNG)
+            for _ in Episode(scene, self._seed, folder).run(count, self._figures):
+                signal.alarm(HUNG)
+                self._done[scene.name] += 1
+        except Violation as broken:
+            progress.console.print(f"{scene.name}: {broken}", highlight=False, soft_wrap=True)
+            self._broken += 1
+            self._done[scene.name] += 1
+        self._seed += 1
+
+    def _summary(self, seconds: float) -> dict[str, Any]:
+        figures, memory = self._figures, self._memory
+        return {
+            "steps": figures.steps,
+            "scenes": dict(self._done),
+            "configurations": self._seed - self._first,
+            "statuses": dict(figures.statuses.most_common()),
+            "braking_steps": figures.braking,
+            "broken_promises": self._broken,
+            "worst": {kind: float(f"{worst:.3g}") for kind, worst in figures.worst.items()},
+            "largest_kkt": float(f"{figures.kkt:.3g}"),
+            "memory_growth_mb": round(memory[-1] - memory[0], 1) if memory else None,
+            "slowest_step_ms": round(1e3 * figures.slowest, 1),
+            "steps_per_second": round(figures.steps / seconds),
+        }
 
 
 def main() -> None:
@@ -113,7 +126,7 @@ def main() -> None:
                 pass
         return
     with Progress(disable=not sys.stdout.isatty()) as progress:
-        figures = soak(arguments.steps, present(), arguments.seed, progress)
+        figures = Soak(present(), arguments.steps, arguments.seed).run(progress)
     print(json.dumps(figures, indent=2))
     if arguments.json:
         kept = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}

@@ -11,7 +11,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,11 @@ class Case:
     com: bool = False
 
     @property
+    def names(self) -> list[str]:
+        """Names of the tasks on the frames."""
+        return [name.replace("/", "_") for _, name in self.frames]
+
+    @property
     def tasks(self) -> int:
         """Number of tasks, the posture included."""
         return len(self.frames) + self.com + 1
@@ -66,32 +71,34 @@ CASES = (
 )
 
 
-def compile_case(case: Case) -> Problem:
-    """Return the problem of a case."""
+def compile_case(case: Case, **others: Any) -> Problem:
+    """Return the problem of a case, with other parts of its configuration."""
     gain = GAIN / DT
     tasks: list[dict[str, Any]] = [
-        {"name": name, "type": "frame", "frame": {kind: name}, "gain": gain}
-        for kind, name in case.frames
+        {"name": name, "type": "frame", "frame": {kind: frame}, "gain": gain}
+        for (kind, frame), name in zip(case.frames, case.names, strict=True)
     ]
     if case.com:
         tasks.append({"name": "com", "type": "com", "gain": gain})
     tasks.append({"name": "posture", "type": "posture", "B": 1e-4, "gain": gain})
     return rmrc.compile(
         rmrc.Config.model_validate(
-            {"scene": case.scene, "dt": DT, "damping": {"lambda": LAMBDA}, "tasks": tasks}
+            {"scene": case.scene, "dt": DT, "damping": {"lambda": LAMBDA}, "tasks": tasks} | others
         )
     )
 
 
-def ours(case: Case, problem: Problem) -> Callable[[np.ndarray], np.ndarray]:
+def ours(
+    case: Case, problem: Problem, controller: rmrc.Controller | None = None
+) -> Callable[[np.ndarray], np.ndarray]:
     """Return one step of rmrc's: targets moved by an offset in, configuration out."""
-    controller = rmrc.Controller(problem)
-    names = [name for _, name in case.frames]
-    poses = [(problem.term[n].target[4:].copy(), problem.term[n].target[:4].copy()) for n in names]
+    controller = controller or rmrc.Controller(problem)
+    targets = [problem.term[name].target for name in case.names]
+    poses = [(target[4:].copy(), target[:4].copy()) for target in targets]
     com = problem.term["com"].target.copy() if case.com else None
 
     def step(offset: np.ndarray) -> np.ndarray:
-        for name, (position, quaternion) in zip(names, poses, strict=True):
+        for name, (position, quaternion) in zip(case.names, poses, strict=True):
             controller.set_target(name, position + offset, quaternion)
         if com is not None:
             controller.set_target("com", com + offset)
@@ -100,15 +107,17 @@ def ours(case: Case, problem: Problem) -> Callable[[np.ndarray], np.ndarray]:
     return step
 
 
-def minks(case: Case, problem: Problem, solver: str) -> Callable[[np.ndarray], np.ndarray]:
-    """Return one step of mink's for the same work."""
+def minks(
+    case: Case, problem: Problem, solver: str, more: Sequence[mink.Limit] = ()
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return one step of mink's for the same work, with more limits if there are any."""
     model = problem.model
     configuration = mink.Configuration(model, problem.start)
     frames = [mink.FrameTask(name, kind, 1.0, 1.0, gain=GAIN) for kind, name in case.frames]
     posture = mink.PostureTask(model, cost=1e-2, gain=GAIN)
     posture.set_target(problem.start)
     tasks: list[mink.Task] = [*frames, posture]
-    targets = [problem.term[name].target.copy() for _, name in case.frames]
+    targets = [problem.term[name].target.copy() for name in case.names]
     com = mink.ComTask(1.0, gain=GAIN)
     com_target = problem.term["com"].target.copy() if case.com else np.zeros(3)
     if case.com:
@@ -121,6 +130,7 @@ def minks(case: Case, problem: Problem, solver: str) -> Callable[[np.ndarray], n
     limits: list[mink.Limit] = [
         mink.ConfigurationLimit(model),
         mink.VelocityLimit(model, dict.fromkeys(joints, HINGE_SPEED)),
+        *more,
     ]
 
     def step(offset: np.ndarray) -> np.ndarray:
@@ -143,12 +153,12 @@ def offsets(steps: int) -> np.ndarray:
     return AMPLITUDE * np.stack([np.sin(phase), np.sin(2 * phase), np.cos(phase) - 1], axis=1)
 
 
-def fastest_solver(case: Case, problem: Problem) -> str:
+def fastest_solver(case: Case, problem: Problem, more: Sequence[mink.Limit] = ()) -> str:
     """Return mink's fastest backend here for a case."""
     medians = {}
     for solver in ("daqp", "proxqp", "quadprog", "osqp"):
         if solver in qpsolvers.available_solvers:
-            step = minks(case, problem, solver)
+            step = minks(case, problem, solver, more)
             medians[solver] = np.median([_timed(step, offset) for offset in offsets(300)][100:])
     return min(medians, key=lambda solver: medians[solver])
 
@@ -164,26 +174,39 @@ def measure(case: Case) -> dict[str, Any]:
     problem = compile_case(case)
     solver = fastest_solver(case, problem)
     rmrc_step, mink_step = ours(case, problem), minks(case, problem, solver)
-    times = np.empty((WARM_UP + STEPS, 2))
-    moves = offsets(WARM_UP + STEPS)
-    for begin in range(0, WARM_UP + STEPS, RUN):
-        for side, step in enumerate((rmrc_step, mink_step)):
-            for k in range(begin, begin + RUN):
-                times[k, side] = _timed(step, moves[k])
-    times = times[WARM_UP:]
+    times = alternating((rmrc_step, mink_step), WARM_UP, STEPS)
     # The two must have done the same work, or the times say nothing.
     final = offsets(WARM_UP + STEPS)[-1]
     apart = float(np.abs(rmrc_step(final) - mink_step(final)).max())
     if apart > 1e-3:
         raise SystemExit(f"{case.name}: the two paths are {apart:.1e} apart: not the same work")
-    medians, p99 = np.median(times, axis=0), np.percentile(times, 99, axis=0)
     return {
         "case": case.name,
         "nv": problem.model.nv,
         "tasks": case.tasks,
+        "mink_solver": solver,
+        **figures(times),
+    }
+
+
+def alternating(
+    steps: Sequence[Callable[[np.ndarray], np.ndarray]], warm_up: int, count: int
+) -> np.ndarray:
+    """Return the times (count, sides) in µs of steps that take turns in short runs."""
+    times, moves = np.empty((warm_up + count, len(steps))), offsets(warm_up + count)
+    for begin in range(0, warm_up + count, RUN):
+        for side, step in enumerate(steps):
+            for k in range(begin, begin + RUN):
+                times[k, side] = _timed(step, moves[k])
+    return times[warm_up:]
+
+
+def figures(times: np.ndarray) -> dict[str, float]:
+    """Return median and p99 of both sides, ours first, and the ratio of the medians."""
+    medians, p99 = np.median(times, axis=0), np.percentile(times, 99, axis=0)
+    return {
         "rmrc_median_us": round(float(medians[0]), 2),
         "rmrc_p99_us": round(float(p99[0]), 2),
-        "mink_solver": solver,
         "mink_median_us": round(float(medians[1]), 2),
         "mink_p99_us": round(float(p99[1]), 2),
         "ratio": round(float(medians[0] / medians[1]), 3),

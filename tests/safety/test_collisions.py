@@ -218,7 +218,7 @@ def test_random_targets_and_places(made: rmrc.Problem) -> None:
 @each_backend
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_robot_turns_whose_links_are_always_near(backend: str, side: float) -> None:
-    near = {"pairs": [["link0", "link1"]], "d_min": 0.01}
+    near = {"pairs": "all", "d_min": 0.01}
     limits = {**LIMITS, "collision": near}
     kept = Checked(problem("real_panda", backend, limits=limits))
     target = kept.problem.term["hand"].target[4:]

@@ -11,7 +11,7 @@ from soaking.scenes import SCENES, Scene
 
 STEPS = 20_000
 HERE = [scene for scene in SCENES if not scene.source.startswith("menagerie:")]
-CONFIGURATIONS = 12
+CONFIGURATIONS = 8
 """Of each scene."""
 EACH = -(-STEPS // (CONFIGURATIONS * len(HERE)))
 """Steps of each configuration."""

@@ -39,6 +39,7 @@ TOLERANCE = {
     "speed": MEASURED,
     "workspace": MEASURED,
     "distance": MEASURED,
+    "equality": MEASURED,
     "certificate": MEASURED,
     "residual": MEASURED,
     "reported": 0.0,
@@ -270,10 +271,10 @@ class Checker:
         found = {"certificate": max(primal, dual / unit, complementarity / unit)}
         if solution.status is not SolveStatus.SOLVED:
             found["certificate"] = np.inf
-        shortened = step.moment.share < 1.0
-        relaxed = step.flag_bits >> Status.RELAXED & 1
-        if self._certified and not shortened and not relaxed:
-            found["residual"] = _residual(qp, solution, unit)
+        if not step.flag_bits >> Status.RELAXED & 1:
+            found["equality"] = float(np.abs(qp.E @ solution.v - qp.f).max(initial=0.0))
+            if self._certified and step.moment.share == 1.0:
+                found["residual"] = _residual(qp, solution, unit)
         return found
 
 

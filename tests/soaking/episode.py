@@ -23,7 +23,7 @@ from soaking.scenes import OBSTACLE, Drawer, Generator, Scene, draw, scene_file
 NAN, INF = float("nan"), float("inf")
 FAR = 1e6
 """How many times as far away a target is that has gone astray."""
-JUMPS = (1e-4, 0.05, 0.1, 1.0)
+JUMPS = (1e-9, 1e-6, 0.1, 1.0)
 """Lengths in s of the step that comes now and then from a clock that has stood still or jumped."""
 LATE = 1e-9
 """Rounding of a sum of times, s."""
@@ -84,7 +84,17 @@ class Episode:
             int(model.body(OBSTACLE).mocapid[0]) if OBSTACLE in names(model, "mocap body") else -1
         )
         self._v, self._a = np.zeros((2, model.nv))
-        self._go_on(self._problem, self._problem.start)
+        self._go_on(self._problem, self._start())
+
+    def _start(self) -> Array:
+        """Return the start, or a configuration with many joints near the ends of their range."""
+        box, q = self._problem.box, self._problem.start.copy()
+        ranged = np.flatnonzero(np.isfinite(box.upper - box.lower))
+        if self.drawer.chance(0.5):
+            share = self.rng.beta(0.3, 0.3, ranged.size)
+            between = (1.0 - share) * box.lower[ranged] + share * box.upper[ranged]
+            q[box.coordinate[ranged]] = between
+        return q
 
     def _go_on(self, problem: Problem, q: Array) -> None:
         """Have another problem from now on, at a configuration and with the present velocity."""
@@ -293,7 +303,7 @@ class Episode:
             q = random_configuration(problem.model, problem.start, rng, drawer.among(0.1, 1.0, 9.0))
             done = controller.set_target(name, q=q)
         else:
-            done = controller.set_target(name, velocity=rng.normal(size=term.target.size))
+            done = controller.set_target(name, velocity=term.target * rng.uniform(-1.0, 1.0))
         if done:
             self._ages[name] = self._now
         return done

@@ -168,11 +168,12 @@ def _tasks(scene: Scene, model: mujoco.MjModel, drawer: Drawer) -> list[dict[str
         for j in range(model.njnt)
         if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE
     ]
+    driven = joints[rng.integers(len(joints))]  # into the end of its range
     extras = (
         {"type": "posture", "B": 0.01, "gain": 1.0, "level": 1},
         {"type": "smooth", "B": 0.1, "level": 1},
         {"type": "com", "level": 1},
-        {"type": "velocity", "target": {joints[0]: 0.5}, "B": 0.1, "level": 1},
+        {"type": "velocity", "target": {driven: drawer.among(-9.0, 9.0)}, "B": 100.0},
         {"type": "look_at", "frame": first, "level": 1, "target": [1.0, 2.0, 3.0]},
         {"type": "axis_align", "frame": first, "level": 2},
         {"type": "kinetic_energy", "B": 0.01},
@@ -181,7 +182,7 @@ def _tasks(scene: Scene, model: mujoco.MjModel, drawer: Drawer) -> list[dict[str
         {"type": "freeze", "joints": joints[-1:]},
         {"type": "coupling", "coefficients": {joints[0]: 1.0, joints[1]: -1.0}},
     )
-    shares = (0.7, *[0.1] * (len(extras) - 1))
+    shares = (0.7, 0.1, 0.1, 0.3, *[0.1] * (len(extras) - 4))
     for k, (extra, share) in enumerate(zip(extras, shares, strict=True)):
         ranged = extra["type"] != "centering" or model.jnt_limited.any()
         if drawer.chance(share) and ranged:

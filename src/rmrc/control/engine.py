@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.correct import Correction
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
@@ -56,7 +57,8 @@ class PythonEngine:
         self.assembly = Assembly(problem, self.evaluation)
         self.rows = Rows(problem, self.evaluation)
         self._shortening = Shortening(problem) if problem.barriers else None
-        self._solvers: dict[tuple[int, int], _Solver] = {}
+        self._correction = Correction(problem)
+        self._solvers: dict[tuple[int, int, bool], _Solver] = {}
         self._solver = self._solver_of(self.assembly.qp)
         hard = any(term.hard for term in self.evaluation.terms)
         self._box_alone = not (self.rows.any or hard)
@@ -79,13 +81,21 @@ class PythonEngine:
         solver = self.problem.config.solver
         return create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
 
-    def _solver_of(self, qp: QP) -> _Solver:
-        shape = (qp.lo.size, qp.f.size)
-        if shape not in self._solvers:
+    def _other_backend(self) -> Backend:
+        """Return one of another kind: a dual method for a primal one, and the other way round."""
+        solver = self.problem.config.solver
+        name = "proxqp" if solver.backend == "daqp" else "daqp"
+        return create(name, max_iter=solver.max_iter)
+
+    def _solver_of(self, qp: QP, other: bool = False) -> _Solver:
+        """Return what solves programs of this shape: the backend that was chosen, or another."""
+        key = (qp.lo.size, qp.f.size, other)
+        if key not in self._solvers:
             if len(self._solvers) >= MOST_SHAPES:
                 self._solvers.clear()
-            self._solvers[shape] = _Solver(qp, self._new_backend(), Certificate(qp))
-        return self._solvers[shape]
+            backend = self._other_backend() if other else self._new_backend()
+            self._solvers[key] = _Solver(qp, backend, Certificate(qp))
+        return self._solvers[key]
 
     @property
     def damped(self) -> bool:
@@ -100,16 +110,20 @@ class PythonEngine:
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
 
-        The rungs: the full program; the same from a cold start; the least violation of rows and
-        equalities, and the optimum within it; the box alone; a brake, which is the point of the
-        box nearest to rest. Its v is then shortened where distances would be passed.
+        The rungs: the full program; the same from a cold start; the same by another backend; the
+        least violation of rows and equalities, and the optimum within it; the box alone; a brake,
+        which is the point of the box nearest to rest. Where distances would be passed at the end of
+        the step, it is solved again for the curvature of the step, or shortened.
         """
         self.outside = self.prepare(q, v_previous, dt)
         self.scaled = False
         solution = self._best()
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
-        self.keep_distances(solution, dt)
+        if self._shortening is not None and self.rows.blocks:
+            solution = self._at_distance(solution, dt)
+        else:
+            self.share = 1.0
         return solution
 
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
@@ -141,7 +155,7 @@ class PythonEngine:
 
     def _descend_ladder(self, failed: Solution) -> Solution:
         """Return the solution of the first rung that holds, from a cold start on."""
-        solution, qp = self._from_cold(failed), self.assembly.qp
+        solution, qp = self._elsewhere(self._from_cold(failed)), self.assembly.qp
         if self._trusted(solution):
             return solution
         if not (qp.lo.size or qp.f.size):
@@ -150,7 +164,7 @@ class PythonEngine:
             violation = least_violation(qp)
             if violation is not None:
                 self.relaxed |= violation > INCONSISTENT
-                solution = self._from_cold(self._best())
+                solution = self._elsewhere(self._best(), feasible=True)
         if self._trusted(solution) or self._feasible(solution):
             return solution
         if self._in_time():
@@ -177,6 +191,19 @@ class PythonEngine:
             return solution
         solver.ready = False
         return self._attempt(solver)
+
+    def _elsewhere(self, solution: Solution, feasible: bool = False) -> Solution:
+        """Return the optimum as another backend finds it, where this one gives up on its own.
+
+        A program that is known to be feasible it gives up on even where it says the contrary.
+        """
+        refused = solution.status is SolveStatus.INFEASIBLE and not feasible
+        if refused or self._trusted(solution) or self._cascade is not None or not self._in_time():
+            return solution
+        other = self._solver_of(self.assembly.qp, other=True)
+        other.ready = False
+        found = self._attempt(other)
+        return found if self._trusted(found) else solution
 
     def _attempt(self, solver: _Solver) -> Solution:
         if self.deadline < math.inf:
@@ -244,3 +271,24 @@ class PythonEngine:
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
         self.relaxed |= passed
+
+    def _at_distance(self, solution: Solution, dt: float) -> Solution:
+        """Return a solution that keeps distances: solved again for the curvature, or shortened."""
+        whole, relaxed = solution.v, self.relaxed
+        self.keep_distances(solution, dt)
+        qp, evaluation = self.assembly.qp, self.evaluation
+        if self.share == 1.0 or qp.lo.size != self.rows.count or not self._in_time():
+            return solution
+        present = (evaluation.data, evaluation.obstacle_twist)
+        if not self._correction.raise_rows(qp, self.rows.blocks, present, whole, dt):
+            return solution
+        corrected = self._best()
+        if not self._trusted(corrected):
+            return solution
+        share, passed = self.share, self.relaxed
+        self.relaxed = relaxed
+        self.keep_distances(corrected, dt)
+        if self.share > share:
+            return corrected
+        self.share, self.relaxed = share, passed
+        return solution

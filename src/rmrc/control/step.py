@@ -54,7 +54,7 @@ ADVICE = {
     Status.MAX_ITER: "The solver gave no certified optimum; v is a feasible point or braking.",
     Status.DEADLINE: "The solver ran out of its time budget; v is a feasible point.",
     Status.STALE: "The target or the measurement is older than its timeout; the robot is braking.",
-    Status.INVALID_INPUT: "An input was not valid: a bad target is ignored, any other bad input brakes.",
+    Status.INVALID_INPUT: "An input was not valid: a bad target is ignored, all else brakes.",
 }
 
 
