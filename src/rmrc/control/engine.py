@@ -270,7 +270,21 @@ class PythonEngine:
         )
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
+            passed = passed or self._misses(solution.v)
         self.relaxed |= passed
+
+    def _misses(self, v: Array) -> bool:
+        """Return whether a shortened command misses equalities, or rows that are no distances'."""
+        qp, rows = self.assembly.qp, self.rows
+        if qp.f.size and np.abs(qp.E @ v - qp.f).max() > CERTIFIED:
+            return True
+        if qp.lo.size != rows.count:
+            return False
+        activity = qp.C @ v
+        missed = np.maximum(qp.lo - activity, activity - qp.hi)
+        for block in rows.blocks:
+            missed[block.rows] = 0.0
+        return bool(missed.max(initial=0.0) > CERTIFIED)
 
     def _at_distance(self, solution: Solution, dt: float) -> Solution:
         """Return a solution that keeps distances: solved again for the curvature, or shortened."""

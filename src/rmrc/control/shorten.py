@@ -16,6 +16,10 @@ Ids = NDArray[np.intp]
 
 TOLERANCE = 0.5 * PASSED
 """How far below 0 a distance may be at the end of a step, m or rad."""
+NOISE = 1e-9
+"""How much a distance below 0 may lose by rounding, m or rad."""
+MOST_LOOKS = 256
+"""Looks at a way to rest after which what is not known to be free counts as passed."""
 TRIALS = 10
 """Most shares of a command that are tried, once the whole of it is too much."""
 GUESSES = 10
@@ -63,7 +67,7 @@ class _Watched:
 
     def __init__(self, block: Block, chosen: Ids):
         self.barrier, self.ids = block.barrier, block.near.ids[chosen]
-        self.floor = np.minimum(block.near.distance[chosen], -TOLERANCE)
+        self.floor = np.minimum(block.near.distance[chosen] - NOISE, -TOLERANCE)
         self.now = block.near.distance[chosen] - self.floor
         """What is known of the rooms at the present configuration (k,)."""
 
@@ -255,8 +259,8 @@ class Shortening:
     def _halved(
         self, path: _Path, begin: _Look, end: _Look, watched: list[_Watched], among: list[Ids]
     ) -> _Look:
-        """Return a look between two at which a room is below 0; where none is, the last."""
-        ahead = [(begin, end, among)]
+        """Return a look between two at which a room is, or may be, below 0; else the last."""
+        ahead, looks = [(begin, end, among)], 0
         while ahead:
             before, after, among = ahead.pop()
             steps = int(after.place - before.place)
@@ -265,6 +269,9 @@ class Shortening:
             among = self._doubtful(path, before, after, watched, among)
             if any(some.size for some in among):
                 between = self._look(path, before.place + steps // 2, watched, among)
+                looks += 1
+                if looks > MOST_LOOKS and between.least >= 0.0:
+                    between.least = -math.inf
                 if between.least < 0.0:
                     return between
                 ahead += [(between, after, among), (before, between, among)]
