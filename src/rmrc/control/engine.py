@@ -274,7 +274,10 @@ class PythonEngine:
         self.relaxed |= passed
 
     def _misses(self, v: Array) -> bool:
-        """Return whether a shortened command misses equalities, or rows that are no distances'."""
+        """Return whether a shortened command misses equalities, or rows that are no distances'.
+
+        Of the speed of a frame its norm counts, not the box inside it that the rows are.
+        """
         qp, rows = self.assembly.qp, self.rows
         if qp.f.size and np.abs(qp.E @ v - qp.f).max() > CERTIFIED:
             return True
@@ -284,7 +287,11 @@ class PythonEngine:
         missed = np.maximum(qp.lo - activity, activity - qp.hi)
         for block in rows.blocks:
             missed[block.rows] = 0.0
-        return bool(missed.max(initial=0.0) > CERTIFIED)
+        frames = slice(rows.speed_count)
+        velocity, bound = activity[frames].reshape(-1, 3), qp.hi[frames].reshape(-1, 3)
+        missed[frames] = 0.0
+        too_fast = np.linalg.norm(velocity, axis=1) - np.linalg.norm(bound, axis=1)
+        return max(missed.max(initial=0.0), too_fast.max(initial=0.0)) > CERTIFIED
 
     def _at_distance(self, solution: Solution, dt: float) -> Solution:
         """Return a solution that keeps distances: solved again for the curvature, or shortened."""

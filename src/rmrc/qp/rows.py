@@ -54,6 +54,8 @@ class Rows:
             (SpeedRows(limit, evaluation.data, model.nv), evaluation.slice_of(limit.task))
             for limit in problem.speeds
         ]
+        self.speed_count = sum(speed.count for speed, _ in self._speeds)
+        """How many of the first rows are of speeds, three for each vector."""
         self.any = bool(self.barriers or self._speeds or problem.mink_limits)
         """Whether there can be any."""
         self.count = 0
