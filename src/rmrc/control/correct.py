@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import QP
-from rmrc.qp.rows import Block
+from rmrc.qp.rows import FASTEST, Block
 
 Array = NDArray[np.float64]
 
@@ -53,9 +53,9 @@ class Correction:
                 short = True
                 lower = qp.lo[block.rows]
                 lower[missing] += ENOUGH / dt * shortfall[missing]
-                # The box alone must still allow it.
+                # The box alone must still allow it; 0 · ∞ would be no number.
                 rows = qp.C[block.rows]
-                with np.errstate(invalid="ignore"):
-                    most = np.fmax(rows * qp.lb, rows * qp.ub).sum(axis=1)
+                low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
+                most = np.maximum(rows * low, rows * high).sum(axis=1)
                 np.minimum(lower, most - SPARE * np.abs(most), out=lower)
         return short
