@@ -104,6 +104,7 @@ class Kept:
         step = self.checked.step(self.checked.q, dt)
         if self.velocity.any():
             self.place(self.ball + self.velocity * dt, self.velocity)
+        assert step.moment.share == 1.0 or Status.LIMITED in step.flags  # shortened
         lost = before - self.distances.at(step.q, self.data)
         if Status.RELAXED in step.flags:
             self.relaxed += 1

@@ -235,9 +235,9 @@ class Controller:
 
     def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
         """Return the velocity that this step starts from, as measured; None if v is not valid."""
+        before, self._measured = self._measured, q if measured else None
         if v is not None:
             return self._configurations.read_velocity(v)
-        before, self._measured = self._measured, q if measured else None
         if before is None or not measured:
             return self._v
         found = np.empty(self._model.nv)
@@ -335,7 +335,7 @@ class Controller:
         if self._frozen is not None:
             z = np.where(self._frozen, 0.0, z)  # a frozen joint is no limit that is in the way
         y = solution.row_multiplier
-        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2:
+        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2 or engine.share < 1.0:
             flags |= _LIMITED
         return flags
 
@@ -353,6 +353,7 @@ class Controller:
         solution = Solution.at_rest(self.engine.assembly.qp)
         solution.v = v[self.problem.dofs]
         self._progress.reset()
+        self.engine.share = 1.0  # of a brake nothing was left out
         return self._carried_out(self._q, solution, flags, seconds, self._v)
 
     def _seconds(self, dt: object) -> float | None:

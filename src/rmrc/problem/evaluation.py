@@ -67,10 +67,6 @@ class Evaluation:
         """Return the rows of e that a run of neighbouring terms fills."""
         return slice(self._slices[terms[0].name].start, self._slices[terms[-1].name].stop)
 
-    def slice_of(self, name: str) -> slice:
-        """Return the rows of one task."""
-        return self._slices[name]
-
     def error_of(self, error: Array, term: Term) -> Array:
         """Return one term's part of an error vector."""
         return error[self._slices[term.name]]

@@ -51,7 +51,10 @@ class Rows:
             limit.build(model, evaluation.obstacle_twist) for limit in problem.barriers
         ]
         self._speeds = [
-            (SpeedRows(limit, evaluation.data, model.nv), evaluation.slice_of(limit.task))
+            (
+                SpeedRows(limit, evaluation.data, model.nv),
+                evaluation.rows_of([problem.term[limit.task]]),
+            )
             for limit in problem.speeds
         ]
         self.speed_count = sum(speed.count for speed, _ in self._speeds)
