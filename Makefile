@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-slow lint bench schema clean
+.PHONY: demo test test-slow lint bench soak schema clean
 
 # What the extension is built from.
 NATIVE := $(wildcard native/*.cpp native/*.hpp native/CMakeLists.txt)
@@ -34,8 +34,12 @@ lint: $(VENV)/test.stamp
 	$(BIN)/pyright
 
 bench: $(VENV)/test.stamp
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/step.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/step.py --json bench/results.json
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/methods.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/safety.py --json bench/results.json
+
+soak: $(VENV)/test.stamp
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/soak.py --json bench/results.json
 
 schema: $(VENV)/test.stamp
 	$(BIN)/rmrc schema > rmrc.schema.json

@@ -1,95 +1,118 @@
 """Random steps in all scenes, each held to what a step promises; prints what came of them.
 
 Targets near, far and out of reach, pushes, limits that change on the way, obstacles that move, bad
-and missing inputs: every step must be finite, inside its limits and certified, or say why it is not.
-What breaks a promise is printed with the command that does it again. `--json FILE` writes the
-figures under `soak` into a file, beside what is there.
+and missing inputs: every step must be finite, inside its limits, and certified or reported. What
+breaks a promise is printed with the command that does it again. `--json FILE` writes the figures
+under `soak` into a file, beside what is there.
 """
 
-import argparse
 import json
 import os
+import signal
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich.progress import Progress
-from step import machine
 
-REPOSITORY = Path(__file__).resolve().parent.parent
+from timing import REPOSITORY, parser, write
+
 sys.path.insert(0, str(REPOSITORY / "tests"))
 
-from soaking.episode import Episode, Figures, Violation  # noqa: E402
-from soaking.scenes import Scene, present  # noqa: E402
+from soaking.episode import Episode, Figures, Violation
+from soaking.scenes import Scene, present
 
 EPISODE = 1000
 """Steps of one configuration."""
 ROUNDS = 4
 """Times that every scene has its turn; memory counts from the end of the first."""
+HUNG = 120
+"""Seconds after which a step is given up."""
 
 
 def resident() -> float:
     """Return the memory of this process in MB, 0 where the system does not say."""
     pages = Path("/proc/self/statm")
-    return int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 if pages.exists() else 0.0
+    return (
+        int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        if pages.exists()
+        else 0.0
+    )
 
 
-def shares(scenes: list[Scene], steps: int) -> dict[str, int]:
-    """Return the number of steps of each scene."""
-    whole = sum(scene.share for scene in scenes)
-    return {scene.name: round(steps * scene.share / whole) for scene in scenes}
+def _give_up(*_: object) -> None:
+    raise TimeoutError(f"no end after {HUNG} s")
 
 
-def soak(steps: int, scenes: list[Scene], first: int, progress: Progress) -> dict[str, Any]:
-    """Return the figures of some steps over scenes, with seeds from the first on."""
-    figures, failures, done, begin = Figures(), [], Counter(), time.perf_counter()
-    wanted, memory = shares(scenes, steps), [resident()]
-    task = progress.add_task("soak", total=sum(wanted.values()))
-    seed = first
-    with TemporaryDirectory() as folder:
-        for turn in range(ROUNDS):
-            for scene in scenes:
-                while done[scene.name] * ROUNDS < wanted[scene.name] * (turn + 1):
-                    count = min(EPISODE, wanted[scene.name] - done[scene.name])
-                    try:
-                        for _ in Episode(scene, seed, Path(folder)).run(count, figures):
-                            done[scene.name] += 1
-                            progress.advance(task)
-                    except Violation as broken:
-                        failures.append(str(broken))
-                        progress.console.print(f"{scene.name}: {broken}", highlight=False)
-                        done[scene.name] += 1
-                    seed += 1
-            memory.append(resident())
-    seconds = time.perf_counter() - begin
-    return {
-        "steps": figures.steps,
-        "scenes": dict(done),
-        "configurations": seed - first,
-        "statuses": dict(figures.statuses.most_common()),
-        "braking_steps": figures.braking,
-        "worst": {kind: float(f"{worst:.3g}") for kind, worst in figures.worst.items()},
-        "largest_kkt": float(f"{figures.kkt:.3g}"),
-        "broken_promises": len(failures),
-        "memory_growth_mb": round(memory[-1] - memory[1], 1),
-        "steps_per_second": round(figures.steps / seconds),
-    }
+class Soak:
+    """Goes round the scenes, and keeps count."""
+
+    def __init__(self, scenes: list[Scene], steps: int, seed: int):
+        self._scenes, self._first, self._seed = scenes, seed, seed
+        whole = sum(scene.share for scene in scenes)
+        self._wanted = {scene.name: round(steps * scene.share / whole) for scene in scenes}
+        self._done: Counter[str] = Counter()
+        self._figures = Figures()
+        self._broken = 0
+        self._memory: list[float] = []
+
+    def run(self, progress: Progress) -> dict[str, Any]:
+        """Return the figures of all steps, or of those so far after an interrupt (Ctrl-C)."""
+        task = progress.add_task("soak", total=sum(self._wanted.values()))
+        begin = time.perf_counter()
+        signal.signal(signal.SIGALRM, _give_up)
+        with TemporaryDirectory() as folder, suppress(KeyboardInterrupt):
+            for turn in range(1, ROUNDS + 1):
+                for scene in self._scenes:
+                    while self._done[scene.name] * ROUNDS < self._wanted[scene.name] * turn:
+                        self._episode(scene, Path(folder), progress)
+                        progress.update(task, completed=self._done.total())
+                self._memory.append(resident())
+        signal.alarm(0)
+        return self._summary(time.perf_counter() - begin)
+
+    def _episode(self, scene: Scene, folder: Path, progress: Progress) -> None:
+        """Walk from one seed, as far as no promise is broken; a broken one counts as a step."""
+        count = min(EPISODE, self._wanted[scene.name] - self._done[scene.name])
+        try:
+            signal.alarm(HUNG)
+            for _ in Episode(scene, self._seed, folder).run(count, self._figures):
+                signal.alarm(HUNG)
+                self._done[scene.name] += 1
+        except Violation as broken:
+            progress.console.print(f"{scene.name}: {broken}", highlight=False, soft_wrap=True)
+            self._broken += 1
+            self._done[scene.name] += 1
+        self._seed += 1
+
+    def _summary(self, seconds: float) -> dict[str, Any]:
+        figures, memory = self._figures, self._memory
+        return {
+            "steps": figures.steps,
+            "scenes": dict(self._done),
+            "configurations": self._seed - self._first,
+            "statuses": dict(figures.statuses.most_common()),
+            "braking_steps": figures.braking,
+            "broken_promises": self._broken,
+            "worst": {kind: float(f"{worst:.3g}") for kind, worst in figures.worst.items()},
+            "largest_kkt": float(f"{figures.kkt:.3g}"),
+            "memory_growth_mb": round(memory[-1] - memory[0], 1) if memory else None,
+            "slowest_step_ms": round(1e3 * figures.slowest, 1),
+            "steps_per_second": round(figures.steps / seconds),
+        }
 
 
 def main() -> None:
     """Run the soak, print its figures, and exit with 1 if a promise was broken."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--scene", help="one configuration of this scene alone")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path, help="write the figures here too")
-    arguments = parser.parse_args()
-    beside = REPOSITORY.parent / "shared" / "menagerie"
-    if beside.is_dir():
-        os.environ.setdefault("MENAGERIE_ROOT", str(beside))
+    command = parser(__doc__)
+    command.add_argument("--steps", type=int, default=1_000_000)
+    command.add_argument("--scene", help="one configuration of this scene alone")
+    command.add_argument("--seed", type=int, default=0)
+    arguments = command.parse_args()
     if arguments.scene:
         scene = next(scene for scene in present() if scene.name == arguments.scene)
         with TemporaryDirectory() as folder:
@@ -97,12 +120,9 @@ def main() -> None:
                 pass
         return
     with Progress(disable=not sys.stdout.isatty()) as progress:
-        figures = soak(arguments.steps, present(), arguments.seed, progress)
+        figures = Soak(present(), arguments.steps, arguments.seed).run(progress)
     print(json.dumps(figures, indent=2))
-    if arguments.json:
-        kept = json.loads(arguments.json.read_text()) if arguments.json.exists() else {}
-        kept["soak"] = {"machine": machine(), **figures}
-        arguments.json.write_text(json.dumps(kept, indent=2) + "\n")
+    write(arguments.json, "soak", figures)
     sys.exit(1 if figures["broken_promises"] else 0)
 
 

@@ -1,22 +1,14 @@
 """The whole step beside mink's: set the targets, solve, integrate; short runs, alternating.
 
-Where the targets will be is known before: what is timed is the work of the two, not of this file.
-
 Both have the same robot, tasks, weights, limits and dt, in one process. mink runs with the fastest
-of its backends that are installed. Prints median, p99 and the ratio of the medians, the
-engine that `auto` takes and the median of the Python engine, and the
-machine they are of; `--json FILE` writes them. `make bench` keeps BLAS to one thread: at this size
-more threads only add noise.
+of its backends that are installed, and our Python engine runs beside the one that `auto` takes.
+Where the targets will be is known before: what is timed is the work of the sides, not of this file.
+Prints medians, p99 and the ratio of the medians; `--json FILE` writes them under `step`.
+`make bench` keeps BLAS to one thread: at this size more threads only add noise.
 """
 
-import argparse
-import json
-import os
-import platform
-import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import mink
@@ -25,15 +17,14 @@ import numpy as np
 import qpsolvers
 
 import rmrc
-from rmrc.control.engines import Choice
 from rmrc.problem.limits.joints import HINGE_SPEED
 from rmrc.problem.problem import Problem
+from timing import REPOSITORY, RUN, StepOf, alternating, figures, machine, parser, timed, write
 
-REPOSITORY = Path(__file__).resolve().parent.parent
 DT = 0.002
 GAIN = 0.02  # mink's, per step; ours is GAIN / DT in 1/s
 LAMBDA = 0.01
-WARM_UP, STEPS, RUN = 500, 5000, 50
+WARM_UP, STEPS = 500, 5000
 AMPLITUDE = 0.03  # m, of the targets' motion
 
 
@@ -45,6 +36,11 @@ class Case:
     scene: str
     frames: tuple[tuple[str, str], ...]
     com: bool = False
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the tasks on the frames."""
+        return [name.replace("/", "_") for _, name in self.frames]
 
     @property
     def tasks(self) -> int:
@@ -70,29 +66,27 @@ CASES = (
 )
 
 
-def compile_case(case: Case) -> Problem:
-    """Return the problem of a case."""
+def compile_case(case: Case, **others: Any) -> Problem:
+    """Return the problem of a case, with other parts of its configuration."""
     gain = GAIN / DT
     tasks: list[dict[str, Any]] = [
-        {"name": name, "type": "frame", "frame": {kind: name}, "gain": gain}
-        for kind, name in case.frames
+        {"name": name, "type": "frame", "frame": {kind: frame}, "gain": gain}
+        for (kind, frame), name in zip(case.frames, case.names, strict=True)
     ]
     if case.com:
         tasks.append({"name": "com", "type": "com", "gain": gain})
     tasks.append({"name": "posture", "type": "posture", "B": 1e-4, "gain": gain})
     return rmrc.compile(
         rmrc.Config.model_validate(
-            {"scene": case.scene, "dt": DT, "damping": {"lambda": LAMBDA}, "tasks": tasks}
+            {"scene": case.scene, "dt": DT, "damping": {"lambda": LAMBDA}, "tasks": tasks} | others
         )
     )
 
 
-def ours(
-    case: Case, problem: Problem, moves: np.ndarray, engine: Choice = "auto"
-) -> Callable[[int], np.ndarray]:
+def ours(case: Case, controller: rmrc.Controller, moves: np.ndarray) -> StepOf:
     """Return step k of rmrc's, with its targets moved by moves[k]: configuration out."""
-    controller = rmrc.Controller(problem, engine=engine)
-    targets = [(name, problem.term[name].target) for _, name in case.frames]
+    problem = controller.problem
+    targets = [(name, problem.term[name].target) for name in case.names]
     poses = [(name, list(target[4:] + moves), target[:4].copy()) for name, target in targets]
     points = list(problem.term["com"].target + moves) if case.com else None
 
@@ -107,9 +101,9 @@ def ours(
 
 
 def minks(
-    case: Case, problem: Problem, solver: str, moves: np.ndarray
-) -> Callable[[int], np.ndarray]:
-    """Return one step of mink's for the same work."""
+    case: Case, problem: Problem, solver: str, moves: np.ndarray, more: Sequence[mink.Limit] = ()
+) -> StepOf:
+    """Return step k of mink's for the same work, with more limits if there are any."""
     model = problem.model
     configuration = mink.Configuration(model, problem.start)
     frames = [mink.FrameTask(name, kind, 1.0, 1.0, gain=GAIN) for kind, name in case.frames]
@@ -119,7 +113,7 @@ def minks(
     still = np.zeros((len(moves), 4))
     poses = [
         [mink.SE3(pose) for pose in problem.term[name].target + np.hstack([still, moves])]
-        for _, name in case.frames
+        for name in case.names
     ]
     com = mink.ComTask(1.0, gain=GAIN)
     points = list(problem.term["com"].target + moves) if case.com else []
@@ -133,6 +127,7 @@ def minks(
     limits: list[mink.Limit] = [
         mink.ConfigurationLimit(model),
         mink.VelocityLimit(model, dict.fromkeys(joints, HINGE_SPEED)),
+        *more,
     ]
 
     def step(k: int) -> np.ndarray:
@@ -153,77 +148,45 @@ def offsets(steps: int) -> np.ndarray:
     return AMPLITUDE * np.stack([np.sin(phase), np.sin(2 * phase), np.cos(phase) - 1], axis=1)
 
 
-def fastest_solver(case: Case, problem: Problem) -> str:
+def fastest_solver(case: Case, problem: Problem, more: Sequence[mink.Limit] = ()) -> str:
     """Return mink's fastest backend here for a case."""
-    medians = {}
+    medians, moves = {}, offsets(300)
     for solver in ("daqp", "proxqp", "quadprog", "osqp"):
         if solver in qpsolvers.available_solvers:
-            step = minks(case, problem, solver, offsets(300))
-            medians[solver] = np.median([_timed(step, k) for k in range(300)][100:])
+            step = minks(case, problem, solver, moves, more)
+            medians[solver] = np.median([timed(step, k) for k in range(len(moves))][100:])
     return min(medians, key=lambda solver: medians[solver])
 
 
-def _timed(step: Callable[[int], np.ndarray], k: int) -> float:
-    begin = time.perf_counter_ns()
-    step(k)
-    return (time.perf_counter_ns() - begin) / 1e3
-
-
 def measure(case: Case) -> dict[str, Any]:
-    """Return both sides' times in µs over alternating steps."""
-    problem = compile_case(case)
+    """Return all sides' times in µs over alternating steps."""
+    problem, moves = compile_case(case), offsets(WARM_UP + STEPS)
     solver = fastest_solver(case, problem)
-    moves = offsets(WARM_UP + STEPS)
+    controller = rmrc.Controller(problem)
     sides = (
-        ours(case, problem, moves),
+        ours(case, controller, moves),
         minks(case, problem, solver, moves),
-        ours(case, problem, moves, "python"),
+        ours(case, rmrc.Controller(problem, engine="python"), moves),
     )
-    times = np.empty((WARM_UP + STEPS, len(sides)))
-    for begin in range(0, WARM_UP + STEPS, RUN):
-        for side, step in enumerate(sides):
-            for k in range(begin, begin + RUN):
-                times[k, side] = _timed(step, k)
-    times = times[WARM_UP:]
+    times = alternating(sides, WARM_UP, STEPS)
     # All must have done the same work, or the times say nothing.
     first, *others = (step(len(moves) - 1) for step in sides)
     apart = max(float(np.abs(first - other).max()) for other in others)
     if apart > 1e-3:
         raise SystemExit(f"{case.name}: the two paths are {apart:.1e} apart: not the same work")
-    medians, p99 = np.median(times, axis=0), np.percentile(times, 99, axis=0)
     return {
         "case": case.name,
         "nv": problem.model.nv,
         "tasks": case.tasks,
-        "rmrc_median_us": round(float(medians[0]), 2),
-        "rmrc_p99_us": round(float(p99[0]), 2),
+        "engine": controller.engine.name,
         "mink_solver": solver,
-        "mink_median_us": round(float(medians[1]), 2),
-        "mink_p99_us": round(float(p99[1]), 2),
-        "engine": rmrc.Controller(problem).engine.name,
-        "python_median_us": round(float(medians[2]), 2),
-        "ratio": round(float(medians[0] / medians[1]), 3),
+        **figures(("rmrc", "mink", "python"), times),
     }
-
-
-def machine() -> str:
-    """Return the processor, the number of cores and the interpreter."""
-    processor = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        processor = names[0].split(":")[1].strip() if names else processor
-    return f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
 def main() -> None:
     """Run every case whose robot is at hand, and print a row for each."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", type=Path, help="write the figures here too")
-    arguments = parser.parse_args()
-    beside = REPOSITORY.parent / "shared" / "menagerie"
-    if beside.is_dir():
-        os.environ.setdefault("MENAGERIE_ROOT", str(beside))
+    arguments = parser(__doc__).parse_args()
     print(f"machine: {machine()}; dt {DT * 1e3:g} ms, {WARM_UP} + {STEPS} steps in runs of {RUN}")
     print(
         f"{'case':8} {'nv':>3} {'tasks':>5} {'rmrc µs':>9} {'p99':>8} {'mink µs':>9} {'p99':>8}"
@@ -243,8 +206,7 @@ def main() -> None:
             f" {row['ratio']:6.3f} {row['engine']:>7} {row['python_median_us']:9.1f}"
             f"  {row['mink_solver']}"
         )
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"machine": machine(), "step": rows}, indent=2) + "\n")
+    write(arguments.json, "step", {"rows": rows})
 
 
 if __name__ == "__main__":

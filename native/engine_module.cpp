@@ -113,12 +113,12 @@ class BoundEngine {
   Engine& operator*() { return *engine_; }
   const Engine& operator*() const { return *engine_; }
 
-  void add_frame(const RowsArgument& rows, const FrameArgument& frame, bool world) {
-    if (world) {
-      add<WorldFrame>(rows, 6, kept(frame));
-    } else {
-      add<BodyFrame>(rows, 6, kept(frame));
-    }
+  void add_frame(const RowsArgument& rows, const FrameArgument& frame, double far) {
+    add<BodyFrame>(rows, 6, kept(frame), far);
+  }
+
+  void add_world_frame(const RowsArgument& rows, const FrameArgument& frame) {
+    add<WorldFrame>(rows, 6, kept(frame));
   }
 
   void add_relative(const RowsArgument& rows, const FrameArgument& frame,
@@ -293,7 +293,8 @@ void bind_engine(nb::module_& m) {
            "hessian"_a, "unit"_a, "inertia"_a, "floor"_a, "limits"_a, "H"_a, "g"_a,
            "added_damping"_a, "lb"_a, "ub"_a,
            "max_iter"_a)
-      .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a, "world"_a)
+      .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a, "far"_a)
+      .def("add_world_frame", &BoundEngine::add_world_frame, "rows"_a, "frame"_a)
       .def("add_relative", &BoundEngine::add_relative, "rows"_a, "frame"_a, "root"_a)
       .def("add_axis", &BoundEngine::add_axis, "rows"_a, "frame"_a, "axis"_a, "at_point"_a)
       .def("add_com", &BoundEngine::add_com, "rows"_a, "moved"_a, "parts"_a)

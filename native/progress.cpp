@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace rmrc {
@@ -14,26 +15,38 @@ constexpr int looks = 10;
 constexpr double share = 1e-3;
 constexpr double tolerances = 0.1;
 
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
 }  // namespace
 
-Progress::Progress(std::vector<Watched> watched, double tolerance)
-    : watched_(std::move(watched)), tolerance_(tolerance) {}
+Progress::Progress(std::vector<Watched> watched, double tolerance, const double* targets, int size)
+    : watched_(std::move(watched)), tolerance_(tolerance), targets_(targets), last_(size) {
+  reset();
+}
 
 void Progress::reset() {
-  since_look_ = without_ = 0.0;
   stuck_ = false;
+  since_look_ = 0.0;
+  std::copy_n(targets_, last_.size(), last_.begin());
+  before_ = infinity;
+  begin();
+}
+
+void Progress::begin() {
+  elapsed_ = 0.0;
+  least_ = infinity;
+  fastest_ = -infinity;
+  still_ = moving_ = true;
 }
 
 void Progress::update(const Engine& engine, double dt) {
   since_look_ += dt;
   if (since_look_ * looks < window || watched_.empty()) return;
-  const double elapsed = std::exchange(since_look_, 0.0);
-  without_ = stands(engine) ? without_ + elapsed : 0.0;
-  stuck_ = without_ >= window;
+  look(engine, std::exchange(since_look_, 0.0));
 }
 
-bool Progress::stands(const Engine& engine) const {
-  bool open = false;
+void Progress::look(const Engine& engine, double elapsed) {
+  bool off = false;
   double square = 0.0, asked = 0.0, speed = 0.0;
   for (const Watched& watched : watched_) {
     const RowTerm& term = *engine.row_terms()[watched.term];
@@ -41,7 +54,7 @@ bool Progress::stands(const Engine& engine) const {
     const double* rate = engine.rate() + term.data().first;
     double measures[2], moved[6];
     term.measure(measures);
-    open |= measures[0] > watched.tolerance[0] || measures[1] > watched.tolerance[1];
+    off |= measures[0] > watched.tolerance[0] || measures[1] > watched.tolerance[1];
     term.multiply(engine.v(), moved);
     for (int r = 0; r < term.data().rows; ++r) {
       const double pull = watched.weight[r] * error[r];
@@ -50,9 +63,26 @@ bool Progress::stands(const Engine& engine) const {
       speed += pull * moved[r];
     }
   }
-  if (!open || !(square > 0.0)) return false;
+  if (!off || !(square > 0.0)) {
+    reset();
+    return;
+  }
   const double length = std::sqrt(square);
-  return speed / length < std::min(tolerances * tolerance_, share * asked / length);
+  elapsed_ += elapsed;
+  least_ = std::min(least_, length);
+  fastest_ = std::max(fastest_, speed / length);
+  const bool moved = !std::equal(last_.begin(), last_.end(), targets_);
+  still_ &= !moved;
+  moving_ &= moved;
+  std::copy_n(targets_, last_.size(), last_.begin());
+  if (elapsed_ >= window) judge(std::min(tolerances * tolerance_, share * asked / length));
+}
+
+// Say at the end of a window whether the tasks are stuck.
+void Progress::judge(double slowest) {
+  stuck_ = still_ ? std::abs(before_ - least_) < slowest * elapsed_ : moving_ && fastest_ < slowest;
+  before_ = least_;
+  begin();
 }
 
 }  // namespace rmrc

@@ -15,11 +15,12 @@ struct Watched {
   double tolerance[2];
 };
 
-/// Watches the speed p = eᵀB J v / ‖e‖_B at which the tasks approach their targets.
+/// Watches the error ‖e‖_B of the tasks, and beside targets that move the speed at which they come
+/// nearer, eᵀB J v / ‖e‖_B.
 class Progress {
  public:
-  /// `tolerance` is that of all tasks together, ‖tolerances‖_B.
-  Progress(std::vector<Watched> watched, double tolerance);
+  /// `tolerance` is that of all tasks together, ‖tolerances‖_B; `targets` are all the targets.
+  Progress(std::vector<Watched> watched, double tolerance, const double* targets, int size);
 
   /// Forget what was.
   void reset();
@@ -30,12 +31,18 @@ class Progress {
   bool stuck() const { return stuck_; }
 
  private:
-  bool stands(const Engine& engine) const;
+  void look(const Engine& engine, double elapsed);
+  void judge(double slowest);
+  void begin();
 
   std::vector<Watched> watched_;
   double tolerance_;
-  double since_look_ = 0.0, without_ = 0.0;
+  const double* targets_;
+  std::vector<double> last_;  // the targets at the last look
   bool stuck_ = false;
+  double since_look_ = 0.0, before_ = 0.0;            // before: the least error of the window before
+  double elapsed_ = 0.0, least_ = 0.0, fastest_ = 0.0;  // of the present window
+  bool still_ = true, moving_ = true;                 // whether targets never moved; always did
 };
 
 }  // namespace rmrc

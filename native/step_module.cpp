@@ -126,11 +126,11 @@ class BoundStepper {
                Writing v, Writing v_previous, double dt, std::vector<int> quaternions, const std::vector<bool>& frozen,
                double budget, const std::vector<Reading>& kept, Flags moving,
                const std::vector<std::tuple<int, std::vector<double>, double, double>>& watched,
-               double tolerance)
+               Reading targets, double tolerance)
       : engine_(std::move(engine)),
         step_(std::move(step)),
         record_(std::move(record)),
-        kept_{nb::cast(q), nb::cast(v), nb::cast(v_previous), nb::cast(moving)},
+        kept_{nb::cast(q), nb::cast(v), nb::cast(v_previous), nb::cast(moving), nb::cast(targets)},
         dt_(dt) {
     Engine& native = engine_of(engine_);
     const auto nq = static_cast<std::size_t>(native.mujoco().nq);
@@ -155,7 +155,8 @@ class BoundStepper {
     }
     arrays_ = std::make_shared<const Arrays>(static_cast<int>(nq), static_cast<int>(nv));
     stepper_ = std::make_unique<Stepper>(
-        native, Progress(std::move(tasks), tolerance),
+        native,
+        Progress(std::move(tasks), tolerance, targets.data(), static_cast<int>(targets.size())),
         ControllerState{q.data(), v.data(), v_previous.data()}, std::move(quaternions),
         std::vector<char>(frozen.begin(), frozen.end()), budget, std::move(arrays),
         KeptFlags{moving.data(), static_cast<int>(moving.size())});
@@ -288,10 +289,10 @@ void bind_stepper(nb::module_& m) {
                     std::vector<int>, const std::vector<bool>&, double,
                     const std::vector<Reading>&, Flags,
                     const std::vector<std::tuple<int, std::vector<double>, double, double>>&,
-                    double>(),
+                    Reading, double>(),
            nb::kw_only(), "engine"_a, "step"_a, "record"_a, "q"_a, "v"_a, "v_previous"_a, "dt"_a,
            "quaternions"_a, "frozen"_a, "budget"_a, "kept"_a, "moving"_a,
-           "watched"_a, "tolerance"_a)
+           "watched"_a, "targets"_a, "tolerance"_a)
       .def("add_target", &BoundStepper::add_target, "pose"_a, "target"_a, "twist"_a,
            "feedforward"_a, "moving"_a, "Return the number by which `aim` knows a target.")
       .def("aim", &BoundStepper::aim, nb::arg("at"), nb::arg("position").none(),

@@ -207,10 +207,11 @@ void RowTerm::turn(const Frame& frame, const double* T) {
   }
 }
 
-BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
-                     const Stack& stack)
+BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, double far,
+                     const MuJoCo& mujoco, const Stack& stack)
     : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
-      frame_(std::move(frame)) {}
+      frame_(std::move(frame)),
+      far_(far) {}
 
 void BodyFrame::measure(double* measures) const { measure_motion(error(), measures); }
 
@@ -222,8 +223,12 @@ void BodyFrame::differentiate() {
   for (int i = 0; i < 3; ++i) away[i] = position[i] - frame_.position[i];
   rotate_back(R, away, translation);
   log_motion(turned, translation, error());
-  double A[9], B[9], AR[9], BR[9], T[36];
-  inverse_left_jacobian_motion(error(), A, B);
+  double nearer[6], A[9], B[9], AR[9], BR[9], T[36];
+  std::copy_n(error(), 6, nearer);
+  if (const double length = norm3(translation); length > far_) {
+    for (int i = 0; i < 3; ++i) nearer[i] *= far_ / length;  // the logarithm is linear in it
+  }
+  inverse_left_jacobian_motion(nearer, A, B);
   multiply_transposed3(A, R, AR);
   multiply_transposed3(B, R, BR);
   set_blocks(T, AR, BR, AR);

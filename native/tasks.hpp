@@ -104,15 +104,18 @@ class RowTerm {
 };
 
 /// e = log(T_bt) and J = Jlog(T_tb) J_b: a `frame` task along the body's axes.
+///
+/// J of a target further away than `far` is that of a target at that distance.
 class BodyFrame final : public RowTerm {
  public:
-  BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+  BodyFrame(TermData data, std::vector<double> root, Frame frame, double far, const MuJoCo& mujoco,
             const Stack& stack);
   void measure(double* measures) const override;
 
  private:
   void differentiate() override;
   Frame frame_;
+  double far_;
 };
 
 /// e = [p_t − p_b; log(R_t R_bᵀ)]: a `frame` task along the world's axes.

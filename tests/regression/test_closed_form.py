@@ -40,6 +40,7 @@ def test_step_is_the_closed_form(robot, number, damping, axes, tmp_path_factory)
             "type": "frame",
             "frame": {"site": site},
             "axes": axes,
+            "clamp": {"position": 50.0},  # the formula has none
             "B": random_weight(rng, 6).tolist(),
             "gain": rng.uniform(1, 20),
         },

@@ -1,4 +1,4 @@
-"""The robots of the matrix beside a ball that moves, and how near geoms come to one another."""
+"""The robots of the matrix beside a ball and a wall, and how near geoms come to one another."""
 
 import os
 from dataclasses import replace
@@ -15,11 +15,13 @@ from rmrc.problem.limits.collision import CollisionPairs
 
 Array = NDArray[np.float64]
 
-BALL = "ball"
-"""The name of the mocap body and of its geom."""
+BALL, WALL = "ball", "wall"
+"""The names of the mocap bodies and of their geoms."""
 RADIUS = 0.05  # m
+PLATE = (0.5, 0.5, 5e-4)
+"""Half lengths of the wall, m: it is 1 mm thick."""
 AWAY = (0.0, 0.0, 10.0)
-"""Where the ball is in the scene, m."""
+"""Where the ball is in the scene, m; the wall is twice as high."""
 LOOK = 0.2
 """Distance in m from which on it does not matter to a test how far two geoms are apart."""
 
@@ -35,8 +37,9 @@ def beside_a_ball(name: str, folder: Path) -> Robot:
         spec.meshdir = str(scene.parent / spec.meshdir)
         spec.texturedir = str(scene.parent / spec.texturedir)
         ball = spec.worldbody.add_body(name=BALL, mocap=True, pos=AWAY)
-        size = [RADIUS, 0.0, 0.0]
-        ball.add_geom(name=BALL, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=size)
+        ball.add_geom(name=BALL, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0.0, 0.0])
+        wall = spec.worldbody.add_body(name=WALL, mocap=True, pos=[0.0, 0.0, 2.0 * AWAY[2]])
+        wall.add_geom(name=WALL, type=mujoco.mjtGeom.mjGEOM_BOX, size=PLATE)
         spec.compile()
         path.write_text(spec.to_xml())
     return replace(robot, scene=str(path))
@@ -58,21 +61,25 @@ class Distances:
         self._model, self._data = problem.model, mujoco.MjData(problem.model)
         [pairs] = [limit for limit in problem.barriers if isinstance(limit, CollisionPairs)]
         self.pairs = pairs.geoms
-        self.d_min = pairs.d_min
 
-    def at(self, q: Array, obstacles: Array | None = None) -> Array:
-        """Return d (p,) at q, up to 0.2 m, with the mocap bodies at the positions (nmocap, 3)."""
-        model, data = self._model, self._data
-        data.qpos[:] = q
-        if obstacles is not None:
-            data.mocap_pos[:] = obstacles
-        mujoco.mj_kinematics(model, data)
-        first, second = self.pairs.T
-        apart = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1)
+    def of(self, geom: str) -> NDArray[np.intp]:
+        """Return the numbers of the pairs that a geom is of."""
+        return np.flatnonzero((self.pairs == self._model.geom(geom).id).any(axis=1))
+
+    def at(
+        self, q: Array, data: mujoco.MjData, chosen: NDArray[np.intp] | slice = slice(None)
+    ) -> Array:
+        """Return d of some pairs at q, up to 0.2 m, with the mocap bodies where `data` has them."""
+        model, own = self._model, self._data
+        own.qpos[:], own.mocap_pos[:], own.mocap_quat[:] = q, data.mocap_pos, data.mocap_quat
+        mujoco.mj_kinematics(model, own)
+        pairs = self.pairs[chosen]
+        first, second = pairs.T
+        apart = np.linalg.norm(own.geom_xpos[first] - own.geom_xpos[second], axis=1)
         radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, np.inf)  # 0 for planes
         near = np.flatnonzero(apart - radius[first] - radius[second] < LOOK)
-        distance = np.full(len(self.pairs), LOOK)
+        distance = np.full(len(pairs), LOOK)
         for k in near.tolist():
-            a, b = self.pairs[k].tolist()
-            distance[k] = mujoco.mj_geomDistance(model, data, a, b, LOOK, None)
+            a, b = pairs[k].tolist()
+            distance[k] = mujoco.mj_geomDistance(model, own, a, b, LOOK, None)
         return distance

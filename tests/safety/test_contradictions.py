@@ -8,9 +8,6 @@ import mujoco
 import numpy as np
 import pydantic
 import pytest
-from numpy.typing import NDArray
-
-import rmrc
 from matrix import (
     ACCELERATION,
     LIMITS,
@@ -23,6 +20,9 @@ from matrix import (
     problem,
     with_backend,
 )
+from numpy.typing import NDArray
+
+import rmrc
 from rmrc import Problem, Status
 from rmrc.control.engine import PythonEngine
 from rmrc.qp.rows import PASSED

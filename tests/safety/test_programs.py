@@ -139,7 +139,7 @@ def test_a_rank_deficient_hessian(robot: str, backend: str) -> None:
 def test_a_row_that_is_there_twice_is_as_one(robot: str, backend: str, kind: str) -> None:
     once = aimed(with_backend(compiled(robot, kind), backend))
     twice = aimed(with_backend(compiled(robot, f"{kind} twice"), backend))
-    for _ in range(25):
+    for _ in range(15):
         q, v = once.q, once.v
         first = once.step()
         assert first.status < Status.STUCK
@@ -161,7 +161,7 @@ def test_a_hard_task_that_is_too_fast_is_missed_by_the_least(
 ) -> None:
     checked = aimed(with_backend(compiled(robot, kind), backend))
     controller, dofs = checked.controller, checked.problem.dofs
-    for _ in range(25):
+    for _ in range(15):
         step = checked.step()
         q, before = step.moment.q, step.moment.v_previous
         controller.engine.prepare(q, before, DT)
@@ -192,7 +192,7 @@ def test_one_iteration_gives_a_feasible_point_or_brakes(
     made = settled(with_backend(compiled(robot, kind), backend), max_iter=1)
     checked = aimed(made)
     failures = failed = 0
-    for _ in range(25):
+    for _ in range(15):
         step = checked.step()  # which holds it to the box
         account = step.solution
         assert account.iterations <= 1

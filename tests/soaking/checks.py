@@ -14,6 +14,7 @@ from rmrc.problem.problem import Problem
 from rmrc.qp.program import QP, Solution, SolveStatus
 
 Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
 
 EXACT = 1e-9
 """Largest violation of a joint limit: in rad, rad/s or rad/s times dt, or m."""
@@ -38,6 +39,7 @@ TOLERANCE = {
     "speed": MEASURED,
     "workspace": MEASURED,
     "distance": MEASURED,
+    "equality": MEASURED,
     "certificate": MEASURED,
     "residual": MEASURED,
     "reported": 0.0,
@@ -62,6 +64,16 @@ class Moment:
     """Whether what came in leaves nothing but to brake."""
     invalid: bool
     """Whether something that came in is not valid."""
+
+
+def carried(data: mujoco.MjData, twist: Array, dt: float) -> tuple[Array, Array]:
+    """Return the positions and quaternions of the mocap bodies after a step of dt."""
+    quaternions = data.mocap_quat.copy()
+    for quaternion, rate in zip(quaternions, twist[:, 3:], strict=True):
+        turn, angle = np.empty(4), float(np.linalg.norm(rate))
+        mujoco.mju_axisAngle2Quat(turn, rate / (angle or 1.0), angle * dt)
+        mujoco.mju_mulQuat(quaternion, turn, quaternion.copy())
+    return data.mocap_pos + twist[:, :3] * dt, quaternions
 
 
 class Checker:
@@ -131,10 +143,13 @@ class Checker:
         return found
 
     def _ranges(self, moment: Moment, step: Step) -> dict[str, float]:
-        """Return the violations of the ranges, and of a monotonic way back into them."""
-        box = self._problem.box
+        """Return the violations of the ranges, and of a monotonic way back into them.
+
+        A joint that could have stopped in its range still can: v²/2a ≤ q_max − q, mirrored below.
+        """
+        box, dofs = self._problem.box, self._problem.dofs
         before, after = moment.q[box.coordinate], step.q[box.coordinate]
-        v = moment.v[self._problem.dofs]
+        v, following = moment.v[dofs], step.v[dofs]
         found = {"position": -np.inf, "return": -np.inf}
         inside = np.ones(v.size, dtype=bool)
         for sign, end in ((1.0, box.upper), (-1.0, box.lower)):
@@ -144,10 +159,12 @@ class Checker:
             inside &= room >= 0.0
             stops = (room >= 0.0) & (outward**2 / (2.0 * box.acceleration) <= room + AT_REST)
             returns = (room < 0.0) & (outward <= box.acceleration * moment.dt)
-            found["position"] = max(found["position"], float(beyond[stops].max(initial=-np.inf)))
+            braking = np.maximum(sign * following, 0.0) ** 2 / (2.0 * box.acceleration)
+            passed = (beyond + braking)[stops]
+            found["position"] = max(found["position"], float(passed.max(initial=-np.inf)))
             growth = beyond[returns] + room[returns]
             found["return"] = max(found["return"], float(growth.max(initial=-np.inf)))
-        still = np.maximum(np.abs(v), np.abs(moment.a[self._problem.dofs])) <= AT_REST
+        still = np.maximum(np.abs(v), np.abs(moment.a[dofs])) <= AT_REST
         self._calm |= still & inside
         return found
 
@@ -160,7 +177,7 @@ class Checker:
 
     def _rows(self, moment: Moment, step: Step, controller: rmrc.Controller) -> dict[str, float]:
         """Return the violations of frame speeds, planes and distances."""
-        problem, data, flags = self._problem, self._data, step.flag_bits
+        problem, flags = self._problem, step.flag_bits
         if flags >> Status.RELAXED & 1 or not (problem.speeds or problem.barriers):
             return {}
         obstacles = controller.engine.evaluation.data
@@ -170,13 +187,7 @@ class Checker:
             found["speed"] = self._speed(step.v)
         heights = self._heights()
         pairs, distances = self._distances()
-        quaternions = obstacles.mocap_quat.copy()
-        for quaternion, twist in zip(quaternions, moment.twist, strict=True):
-            turn = np.empty(4)
-            angle = float(np.linalg.norm(twist[3:]))
-            mujoco.mju_axisAngle2Quat(turn, twist[3:] / (angle or 1.0), angle * moment.dt)
-            mujoco.mju_mulQuat(quaternion, turn, quaternion.copy())
-        self._move_to(step.q, obstacles.mocap_pos + moment.twist[:, :3] * moment.dt, quaternions)
+        self._move_to(step.q, *carried(obstacles, moment.twist, moment.dt))
         fallen = np.minimum(heights, 0.0) - self._heights()
         found["workspace"] = float(fallen.max(initial=-np.inf))
         reached, after = self._distances()
@@ -215,7 +226,7 @@ class Checker:
             ]
         )
 
-    def _distances(self) -> tuple[Array, Array]:
+    def _distances(self) -> tuple[Pairs, Array]:
         """Return the pairs (k, 2) that may be nearer than d_min, and their distances (k,)."""
         if not self._pairs.size:
             return self._pairs, np.zeros(0)
@@ -260,10 +271,10 @@ class Checker:
         found = {"certificate": max(primal, dual / unit, complementarity / unit)}
         if solution.status is not SolveStatus.SOLVED:
             found["certificate"] = np.inf
-        shortened = step.moment.share < 1.0
-        relaxed = step.flag_bits >> Status.RELAXED & 1
-        if self._certified and not shortened and not relaxed:
-            found["residual"] = _residual(qp, solution, unit)
+        if not step.flag_bits >> Status.RELAXED & 1:
+            found["equality"] = float(np.abs(qp.E @ solution.v - qp.f).max(initial=0.0))
+            if self._certified and step.moment.share == 1.0:
+                found["residual"] = _residual(qp, solution, unit)
         return found
 
 

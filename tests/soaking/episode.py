@@ -5,23 +5,26 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 from zlib import crc32
 
-import mujoco
 import numpy as np
 
 import rmrc
 from models import random_configuration, random_quaternion
 from rmrc.control.step import Status, Step
+from rmrc.problem.frames import names
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
-from soaking.checks import TOLERANCE, Array, Checker, Moment
+from soaking.checks import TOLERANCE, Array, Checker, Moment, carried
 from soaking.scenes import OBSTACLE, Drawer, Generator, Scene, draw, scene_file
 
 NAN, INF = float("nan"), float("inf")
 FAR = 1e6
 """How many times as far away a target is that has gone astray."""
+JUMPS = (1e-9, 1e-6, 0.1, 1.0)
+"""Lengths in s of the step that comes now and then from a clock that has stood still or jumped."""
 LATE = 1e-9
 """Rounding of a sum of times, s."""
 
@@ -40,6 +43,8 @@ class Figures:
     """The largest violation of each kind."""
     kkt: float = 0.0
     """The largest residual of a solution that nothing was reported of."""
+    slowest: float = 0.0
+    """The longest time of a step, s."""
     braking: int = 0
     """Steps that braked for what came in."""
     steps: int = 0
@@ -75,21 +80,28 @@ class Episode:
         """How often something happens, beside what is usual."""
         model = self._problem.model
         self._twist = np.zeros((model.nmocap, 6))
-        self._obstructed = OBSTACLE in {model.body(b).name for b in range(model.nbody)}
-        self._start_anew(self._problem)
+        self._mocap = (
+            int(model.body(OBSTACLE).mocapid[0]) if OBSTACLE in names(model, "mocap body") else -1
+        )
+        self._v, self._a = np.zeros((2, model.nv))
+        self._go_on(self._problem, self._start())
 
-    def _start_anew(self, problem: Problem) -> None:
-        """Go on with another problem from where the robot is, and as fast."""
-        before = getattr(self, "_controller", None)
+    def _start(self) -> Array:
+        """Return the start, or a configuration with many joints near the ends of their range."""
+        box, q = self._problem.box, self._problem.start.copy()
+        ranged = np.flatnonzero(np.isfinite(box.upper - box.lower))
+        if self.drawer.chance(0.5):
+            share = self.rng.beta(0.3, 0.3, ranged.size)
+            between = (1.0 - share) * box.lower[ranged] + share * box.upper[ranged]
+            q[box.coordinate[ranged]] = between
+        return q
+
+    def _go_on(self, problem: Problem, q: Array) -> None:
+        """Have another problem from now on, at a configuration and with the present velocity."""
         self._problem = problem
         self._controller = rmrc.Controller(problem)
+        self._controller.reset(q, self._v, self._a)
         self._checker = Checker(problem)
-        nv = problem.model.nv
-        if before is None:
-            self._v, self._a = np.zeros((2, nv))
-            self._controller.reset()
-        else:
-            self._controller.reset(before.q, self._v, self._a)
         self._ages: dict[str, float] = {}
         self._now = self._measured_at = 0.0
         self._twist[:] = 0.0
@@ -102,7 +114,7 @@ class Episode:
         """
         for k in range(count):
             try:
-                moment, step = self._step()
+                moment, step = self._step(figures)
                 found = self._checker.check(moment, step, self._controller)
             except Violation:
                 raise
@@ -127,19 +139,18 @@ class Episode:
         self._now += moment.dt
         self._v, self._a = step.v.copy(), (step.v - moment.v) / moment.dt
         if self._twist.any():
-            data = self._controller.engine.evaluation.data
-            mocap = int(self._problem.model.body(OBSTACLE).mocapid[0])
-            position = data.mocap_pos[mocap] + self._twist[mocap, :3] * moment.dt
-            self._controller.set_obstacle(OBSTACLE, position, velocity=self._twist[mocap])
+            k, data = self._mocap, self._controller.engine.evaluation.data
+            position, quaternion = carried(data, self._twist, moment.dt)
+            self._controller.set_obstacle(OBSTACLE, position[k], quaternion[k], self._twist[k])
 
     def _often(self, share: float) -> bool:
         return self.drawer.chance(share * self._rough)
 
-    def _step(self) -> tuple[Moment, Step]:
+    def _step(self, figures: Figures) -> tuple[Moment, Step]:
         """Let something happen, and take a step."""
         if self._often(0.004):
             self._change_limits()
-        if self._obstructed and self._often(0.01):
+        if self._mocap >= 0 and self._often(0.01):
             self._move_obstacle()
         refused = False
         renewed = self._is_late() and self.drawer.chance(0.3)
@@ -150,7 +161,10 @@ class Episode:
             refused |= self._refused_target()
         arguments, moment = self._inputs()
         moment.invalid |= refused
-        return moment, self._controller.step(**arguments)
+        begin = perf_counter()
+        step = self._controller.step(**arguments)
+        figures.slowest = max(figures.slowest, perf_counter() - begin)
+        return moment, step
 
     def _inputs(self) -> tuple[dict[str, Any], Moment]:
         """Return the arguments of a step, and what it starts from."""
@@ -160,21 +174,19 @@ class Episode:
         if self._jitter:
             dt = arguments["dt"] = problem.dt * rng.uniform(0.5, 1.5)
         if self._often(0.001):
-            dt = arguments["dt"] = drawer.among(1e-9, 1e-6, 0.1, 1.0)
+            dt = arguments["dt"] = drawer.among(*JUMPS)
         q = self._controller.q
         pushed = self._often(0.01)
         if pushed:
             q = self._pushed(q)
-        measured = pushed or self._measured
-        if measured and drawer.chance(0.98):
-            if self._noise:
-                q = random_configuration(problem.model, q, rng, self._noise)
-                pushed = True
+        elif self._noise:
+            q = random_configuration(problem.model, q, rng, self._noise)
+        if (pushed or self._measured) and drawer.chance(0.98):
             arguments["q"] = q
-        else:
-            q, pushed = self._controller.q, False
-        if pushed:
-            self._checker.disturb()
+            if pushed or self._noise:
+                self._checker.disturb()
+        else:  # the measurement is missing
+            q = self._controller.q
         v, a = self._v, self._a
         if problem.config.previous == "measured":
             v = arguments["v"] = v + rng.normal(size=v.size) * drawer.among(0.0, 1e-3, 0.1)
@@ -255,19 +267,18 @@ class Episode:
             box = replace(box, jerk=np.full(low.size, drawer.among(INF, drawer.between(50.0, 1e4))))
         factor = np.exp(rng.uniform(-1.0, 1.0, low.size))
         box = replace(box, lower=low, upper=high, velocity=box.velocity * factor)
-        self._start_anew(replace(self._problem, box=box))
+        self._go_on(replace(self._problem, box=box), self._controller.q)
 
     def _move_obstacle(self) -> None:
         """Put the obstacle elsewhere near the robot, and let it move or rest."""
-        model, rng, drawer = self._problem.model, self.rng, self.drawer
-        data, mocap = self._controller.engine.evaluation.data, int(model.body(OBSTACLE).mocapid[0])
-        moving = drawer.chance(0.5)
-        self._twist[mocap] = rng.normal(size=6) * 0.2 if moving else 0.0
-        position = data.mocap_pos[mocap].copy()
+        rng, drawer, k = self.rng, self.drawer, self._mocap
+        data = self._controller.engine.evaluation.data
+        self._twist[k] = rng.normal(size=6) * 0.2 if drawer.chance(0.5) else 0.0
+        position = data.mocap_pos[k].copy()
         if drawer.chance(0.5):
-            near = data.xpos[rng.integers(1, model.nbody)]
+            near = data.xpos[rng.integers(1, len(data.xpos))]
             position = near + drawer.direction() * drawer.between(0.1, 1.0)
-        self._controller.set_obstacle(OBSTACLE, position, velocity=self._twist[mocap])
+        self._controller.set_obstacle(OBSTACLE, position, velocity=self._twist[k])
 
     def _set_target(self, term: Term) -> bool:
         """Set a random target of the kind that the term has."""
@@ -292,7 +303,7 @@ class Episode:
             q = random_configuration(problem.model, problem.start, rng, drawer.among(0.1, 1.0, 9.0))
             done = controller.set_target(name, q=q)
         else:
-            done = controller.set_target(name, velocity=rng.normal(size=term.target.size))
+            done = controller.set_target(name, velocity=term.target * rng.uniform(-1.0, 1.0))
         if done:
             self._ages[name] = self._now
         return done

@@ -54,7 +54,7 @@ SCENES = (
     Scene("menagerie:ufactory_xarm7/scene", ("attachment_site",), ("link4",), 0.2),
     Scene("menagerie:universal_robots_ur5e/ur5e", ("attachment_site",), (), 0.2),
     Scene("menagerie:shadow_hand/right_hand", (), ("rh_ffdistal", "rh_thdistal"), 0.2),
-    Scene("menagerie:aloha/scene", ("left/gripper", "right/gripper"), (), 0.2),
+    Scene("menagerie:aloha/scene", ("left/gripper", "right/gripper"), (), 0.1),
     Scene("menagerie:unitree_g1/g1", ("left_palm", "right_palm", "left_foot"), (), 0.2),
 )
 
@@ -99,7 +99,9 @@ def scene_file(scene: Scene, folder: Path) -> str:
         body = spec.worldbody.add_body(name=OBSTACLE, mocap=True, pos=[0.0, 0.0, 3.0])
         kinds = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
         for k, kind in enumerate(kinds):
-            body.add_geom(name=f"{OBSTACLE}{k}", type=kind, size=[0.05, 0.1, 0.0], pos=[0, 0.1 * k, 0])
+            body.add_geom(
+                name=f"{OBSTACLE}{k}", type=kind, size=[0.05, 0.1, 0.0], pos=[0, 0.1 * k, 0]
+            )
         spec.compile()
         path.write_text(spec.to_xml())
     return str(path)
@@ -166,20 +168,21 @@ def _tasks(scene: Scene, model: mujoco.MjModel, drawer: Drawer) -> list[dict[str
         for j in range(model.njnt)
         if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE
     ]
+    driven = joints[rng.integers(len(joints))]  # into the end of its range
     extras = (
         {"type": "posture", "B": 0.01, "gain": 1.0, "level": 1},
         {"type": "smooth", "B": 0.1, "level": 1},
         {"type": "com", "level": 1},
-        {"type": "velocity", "target": {joints[0]: 0.5}, "B": 0.1, "level": 1},
+        {"type": "velocity", "target": {driven: drawer.among(-9.0, 9.0)}, "B": 100.0},
         {"type": "look_at", "frame": first, "level": 1, "target": [1.0, 2.0, 3.0]},
         {"type": "axis_align", "frame": first, "level": 2},
         {"type": "kinetic_energy", "B": 0.01},
-        {"type": "manipulability", "frame": first, "B": 0.1, "level": 2},
+        {"type": "manipulability", "frame": frames[0], "B": 0.1, "level": 2},
         {"type": "centering", "B": 0.01, "level": 2},
         {"type": "freeze", "joints": joints[-1:]},
         {"type": "coupling", "coefficients": {joints[0]: 1.0, joints[1]: -1.0}},
     )
-    shares = (0.7, *[0.1] * (len(extras) - 1))
+    shares = (0.7, 0.1, 0.1, 0.3, *[0.1] * (len(extras) - 4))
     for k, (extra, share) in enumerate(zip(extras, shares, strict=True)):
         ranged = extra["type"] != "centering" or model.jnt_limited.any()
         if drawer.chance(share) and ranged:

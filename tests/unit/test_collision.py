@@ -632,3 +632,13 @@ def test_thickness() -> None:
     }  # fmt: skip
     expected = [min(thin[model.geom(g).name] for g in pair) + 0.001 for pair in geoms.tolist()]
     np.testing.assert_allclose(limit.thickness(np.arange(len(geoms))), expected, atol=1e-9)
+
+
+def test_neighbours_that_are_always_near_are_left_out_and_said(menagerie: object) -> None:
+    model = load_model("menagerie:franka_emika_panda/panda", REPOSITORY)
+    pairs, notices = collision_pairs(model, CollisionLimit(d_min=0.01))
+    bodies = {frozenset(model.geom_bodyid[list(pair)]) for pair in pairs.geoms}
+    assert frozenset((model.body("link0").id, model.body("link1").id)) not in bodies
+    assert any("nearer than d_min wherever the joints are" in notice for notice in notices)
+    closer, _ = collision_pairs(model, CollisionLimit(d_min=0.0))
+    assert len(closer.geoms) > len(pairs.geoms)

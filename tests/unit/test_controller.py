@@ -9,6 +9,7 @@ from models import REPOSITORY, config
 from rmrc import Status
 from rmrc.control import engines
 from rmrc.problem.limits.box import RANGE_ROUNDING
+from rmrc.problem.tasks.frame import FrameTerm
 
 PANDA = str(REPOSITORY / "scenes" / "panda.xml")
 BIPED = str(REPOSITORY / "scenes" / "biped.xml")
@@ -109,6 +110,20 @@ def test_braking_keeps_the_acceleration_limit() -> None:
         assert np.abs(step.v - last.v).max() <= 10.0 * controller.problem.dt + ROUNDING
         assert np.abs(step.v).max() < np.abs(last.v).max()
         last = step
+
+
+def test_the_measured_velocity_is_that_between_the_last_two_measurements() -> None:
+    # One that is given with the second of them does not let the first one count for longer.
+    controller = panda(limits={"acceleration": {"default": 10.0}}, previous="measured")
+    change = 10.0 * controller.problem.dt
+    first, rate = controller.problem.start, np.linspace(-0.3, 0.3, 7)
+    second, third = (first + k * controller.problem.dt * rate for k in (1, 2))
+    for given in (None, 2.0 * rate):
+        controller.reset()
+        controller.step(first)
+        step = controller.step(second, v=given)
+        assert np.abs(step.v - (rate if given is None else given)).max() <= change + ROUNDING
+        assert np.abs(controller.step(third).v - rate).max() <= change + ROUNDING
 
 
 BAD_TARGETS = [
@@ -296,3 +311,20 @@ def test_one_iteration_gives_a_feasible_point_and_says_so() -> None:
             assert Status.MAX_ITER in step.flags or step.solution.kkt.largest < 1e-6
         # For the first-order methods one iteration and a polish are enough now and then.
         assert exhausted or backend != "daqp"
+
+
+@pytest.mark.parametrize("axes", ["body", "world"])
+def test_a_far_target_pulls_as_one_at_the_end_of_the_clamp(axes: str) -> None:
+    tasks = [{"name": "hand", "type": "frame", "frame": {"site": "hand"}, "axes": axes}]
+    problem = rmrc.compile(config(str(REPOSITORY / "scenes" / "panda.xml"), tasks))
+    term = problem.term["hand"]
+    assert isinstance(term, FrameTerm)
+    start, along = term.target[4:], np.array([0.6, 0.0, 0.8])
+    commands = []
+    for distance in (term.clamp[0], 1e6):
+        controller = rmrc.Controller(problem)
+        assert controller.set_target("hand", start + distance * along)
+        commands.append(controller.step().v)
+    # Seven digits are left of a distance of a million metres.
+    assert np.abs(commands[0] - commands[1]).max() < 1e-6
+    assert np.abs(commands[0]).max() > 0.1

@@ -22,15 +22,19 @@ CONFIGURATIONS = 5
 def tasks(site: str, root: dict[str, str]) -> list[dict[str, Any]]:
     frame = {"site": site}
     return [
-        {"name": "frame", "type": "frame", "frame": frame},
-        {"name": "second", "type": "frame", "frame": root},
-        {"name": "world", "type": "frame", "frame": frame, "axes": "world"},
+        {"name": "frame", "type": "frame", "frame": frame, "clamp": FAR},
+        {"name": "second", "type": "frame", "frame": root, "clamp": FAR},
+        {"name": "world", "type": "frame", "frame": frame, "axes": "world", "clamp": FAR},
         {"name": "relative", "type": "relative_frame", "frame": frame, "root": root},
         {"name": "com", "type": "com"},
         {"name": "look", "type": "look_at", "frame": frame, "axis": [0.2, -0.3, 1.0]},
         {"name": "align", "type": "axis_align", "frame": frame, "axis": [1.0, 0.5, 0.0]},
         {"name": "posture", "type": "posture"},
     ]
+
+
+# Beyond its clamp, by default of the robot's length, an error has the Jacobian of a nearer target.
+FAR = {"position": 50.0}
 
 
 @pytest.fixture(params=ROBOTS)

@@ -62,6 +62,17 @@ def test_the_badge_says_how_it_ended(run: Run, tmp_path: Path) -> None:
     assert page.texts["span"] == "interrupted"
 
 
+def test_limits_that_are_off_are_said_to_be(run: Run, tmp_path: Path) -> None:
+    limits = {"position": {}, "velocity": {"default": 2.0}, "acceleration": "off", "speed": {}}
+    config = run.manifest["config"] | {"limits": limits}
+    passed = {"max_violation": 0.1, "joint": "joint1", "unit": "rad"}
+    kept = {"max_violation": 0.0, "joint": None, "unit": None}
+    summary = run.summary | {"limits": dict.fromkeys(limits, kept) | {"position": passed}}
+    manifest = run.manifest | {"config": config, "summary": summary}
+    _, page = written(replace(run, manifest=manifest), tmp_path)
+    assert "velocitynone" + "accelerationoff" + "speedoff" in page.texts["td"]
+
+
 def test_notices_are_listed(run: Run, tmp_path: Path) -> None:
     _, page = written(replace(run, manifest=run.manifest | {"notices": ["a < b", "c"]}), tmp_path)
     assert page.texts["li"] == "a < bc"
@@ -129,6 +140,16 @@ def test_errors_of_different_units_are_on_different_panels(run: Run) -> None:
     assert [trace["name"] for trace in metres["traces"]] == ["hand"]
     assert [trace["name"] for trace in radians["traces"]] == ["hand", "posture"]
     assert [mark["y"] for mark in metres["marks"]] == [1e-3]
+
+
+def test_room_to_limits_is_in_the_unit_of_the_limit(run: Run) -> None:
+    speed = {"hand": {"linear": 1.0, "angular": None}, "tool": {"linear": None, "angular": 2.0}}
+    config = run.manifest["config"] | {"limits": {"speed": speed}}
+    room = {kind: np.where(run.time > 0.1, 0.02, np.inf) for kind in ("collision", "speed")}
+    run = replace(run, margin=room, manifest=run.manifest | {"config": config})
+    distances, speeds = (panel(run, f"Room to the {kind} limit") for kind in room)
+    assert (distances["unit"], speeds["unit"]) == ("m", "m/s or rad/s")
+    assert [each["text"] for each in distances["marks"]] == ["limit 0 m"]
 
 
 def test_joints_come_with_their_values_units_and_limits(run: Run) -> None:

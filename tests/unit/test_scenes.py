@@ -12,6 +12,7 @@ SITES = {
     "planar_3r": ["hand"],
     "planar_4r": ["hand"],
     "panda": ["flange", "hand"],
+    "panda_obstacle": ["flange", "hand"],
     "ur5e": ["tool"],
     "dual_arm": ["left_hand", "right_hand", "left_flange", "right_flange"],
     "mobile_arm": ["base", "arm_hand", "arm_flange"],
@@ -24,6 +25,7 @@ JOINTS = {
     "planar_3r": ["joint1", "joint2", "joint3"],
     "planar_4r": ["joint1", "joint2", "joint3", "joint4"],
     "panda": PANDA_ARM,
+    "panda_obstacle": PANDA_ARM,
     "ur5e": [
         "shoulder_pan_joint",
         "shoulder_lift_joint",

@@ -24,7 +24,9 @@ LARGEST_NUMBER = 1e100
 """Size of the largest number that is taken: what is computed from its square is still a float."""
 
 
-NameKind = Literal["site", "body", "geom", "joint", "keyframe", "equality", "geom or body", "mocap"]
+NameKind = Literal[
+    "site", "body", "geom", "joint", "keyframe", "equality", "geom or body", "mocap body"
+]
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ Weight = Annotated[
 ]
 JointName = Annotated[str, NameOf("joint")]
 KeyframeName = Annotated[str, NameOf("keyframe")]
-MocapName = Annotated[str, NameOf("mocap")]
+MocapName = Annotated[str, NameOf("mocap body")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_\-]*$")]
 
 

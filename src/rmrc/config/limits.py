@@ -78,6 +78,12 @@ class SpeedLimit(Model):
     angular: Positive | None = None
     """Largest angular speed, rad/s."""
 
+    @model_validator(mode="after")
+    def _some(self) -> "SpeedLimit":
+        if self.linear is None and self.angular is None:
+            raise ValueError("give linear, angular or both, as in {linear: 0.25}")
+        return self
+
 
 class WorkspacePlane(Model):
     """A plane that the origin of a frame stays in front of: nᵀp ≥ offset."""
@@ -99,8 +105,9 @@ class CollisionLimit(Model):
     """Pairs of geoms stay apart."""
 
     pairs: tuple[tuple[str, str], ...] | Literal["all"] = "all"
-    """Pairs of geoms, bodies (all their geoms) or `groups`; `all` is every pair that MuJoCo would
-    let collide and that the joints move relative to each other."""
+    """Pairs of geoms, bodies (all their geoms that collide) or `groups`; `all` is every pair that
+    MuJoCo would let collide and that the joints move relative to each other. Of `groups`, bodies
+    and their parents and what the scene excludes are left out; pairs that are named stay."""
     exclude: tuple[tuple[str, str], ...] = ()
     """Pairs, named as in `pairs`, that are left out."""
     groups: dict[Name, Annotated[tuple[GeomName, ...], Field(min_length=1)]] = Field(default={})

@@ -1,6 +1,6 @@
 """Targets on their paths: where each task should be at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config
 from rmrc.control.controller import Controller
-from rmrc.control.paths import Trajectory
+from rmrc.control.paths import PathModel, Trajectory
 from rmrc.errors import ConfigError
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
@@ -46,23 +46,31 @@ def build_aims(problem: Problem) -> list[Aim]:
     Raises:
         ConfigError: If a path does not exist from there.
     """
-    aims, mistakes = [], []
-    for name, model in problem.config.targets.items():
+    starts = {}
+    for name in problem.config.targets:
         term = problem.named(name)
-        start = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        starts[name] = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         if term.target_kind == "pose":
-            start[:3], start[3:] = term.target[4:], term.target[:4]
+            starts[name][:3], starts[name][3:] = term.target[4:], term.target[:4]
         else:
-            start[:3] = term.target
+            starts[name][:3] = term.target
+    paths = _built(problem, "targets", problem.config.targets, starts)
+    return [Aim(problem.named(name), path, np.empty(7), np.empty(6)) for name, path in paths]
+
+
+def _built(
+    problem: Problem, key: str, models: Mapping[str, PathModel], starts: Mapping[str, Array]
+) -> list[tuple[str, Trajectory]]:
+    """Build the paths under one key of the configuration, each from its start pose."""
+    paths, mistakes = [], []
+    for name, model in models.items():
         try:
-            path = model.build(start, problem.config.root)
+            paths.append((name, model.build(starts[name], problem.config.root)))
         except ConfigError as mistake:
-            mistakes.append(Mistake(("targets", name), str(mistake)))
-        else:
-            aims.append(Aim(term, path, np.empty(7), np.empty(6)))
+            mistakes.append(Mistake((key, name), str(mistake)))
     if mistakes:
         raise config_error(mistakes, problem.config)
-    return aims
+    return paths
 
 
 @dataclass(eq=False)
@@ -86,19 +94,14 @@ def build_obstacles(problem: Problem) -> list[MovingObstacle]:
     Raises:
         ConfigError: If a path does not exist from there.
     """
-    model, obstacles, mistakes = problem.model, [], []
-    for name, path in problem.config.obstacles.items():
-        body = model.body(name).id
-        start = np.concatenate([model.body_pos[body], model.body_quat[body]])
-        try:
-            trajectory = path.build(start, problem.config.root)
-        except ConfigError as mistake:
-            mistakes.append(Mistake(("obstacles", name), str(mistake)))
-        else:
-            obstacles.append(MovingObstacle(name, trajectory, np.empty(7), np.empty(6)))
-    if mistakes:
-        raise config_error(mistakes, problem.config)
-    return obstacles
+    model, moved = problem.model, problem.config.obstacles
+    bodies = {name: model.body(name).id for name in moved}
+    starts = {
+        name: np.concatenate([model.body_pos[body], model.body_quat[body]])
+        for name, body in bodies.items()
+    }
+    paths = _built(problem, "obstacles", moved, starts)
+    return [MovingObstacle(name, path, np.empty(7), np.empty(6)) for name, path in paths]
 
 
 def unfinished(aims: Sequence[Aim], config: Config) -> list[str]:

@@ -1,5 +1,6 @@
 """What a configuration amounts to, and what will bind, before anything runs."""
 
+import mujoco
 import numpy as np
 
 from rmrc.config.models import Config
@@ -11,6 +12,10 @@ from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
 from rmrc.problem.problem import Problem
+from rmrc.qp.rows import PASSED
+
+SHOWN = 6
+"""Distances that a line names."""
 
 
 def check(config: Config) -> list[str]:
@@ -30,7 +35,13 @@ def check(config: Config) -> list[str]:
     lines += Controller(problem).notices  # what cannot run on this problem at all says so
     lines += shortcomings(problem)
     lines += build_execution(problem).notices
-    return [*lines, *_at_limits(problem), *unfinished(aims, config), *problem.notices]
+    return [
+        *lines,
+        *_at_limits(problem),
+        *_too_near(problem),
+        *unfinished(aims, config),
+        *problem.notices,
+    ]
 
 
 def _at_limits(problem: Problem) -> list[str]:
@@ -50,4 +61,23 @@ def _at_limits(problem: Problem) -> list[str]:
         lines.append(f"outside the position limits at the start: {', '.join(outside)}")
     if touching:
         lines.append(f"on a position limit at the start: {', '.join(touching)}")
+    return lines
+
+
+def _too_near(problem: Problem) -> list[str]:
+    """Return the distances that are below their limits already at the start."""
+    model = problem.model
+    data, still = mujoco.MjData(model), np.zeros((model.nmocap, 6))
+    data.qpos = problem.start
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    lines = []
+    for limit in problem.barriers:
+        barrier = limit.build(model, still)
+        near = barrier.near(data, np.zeros(model.nv), problem.dt)
+        passed = near.ids[near.distance < -PASSED].tolist()
+        if passed:
+            shown = ", ".join(barrier.name(k) for k in passed[:SHOWN])
+            more = f" and {len(passed) - SHOWN} more" if len(passed) > SHOWN else ""
+            lines.append(f"beyond the {barrier.kind} limit at the start: {shown}{more}")
     return lines

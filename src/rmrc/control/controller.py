@@ -11,7 +11,7 @@ from rmrc.control.engines import Choice, build_engine
 from rmrc.control.inputs import Configurations, Targets
 from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
-from rmrc.control.step import ACTIVE_MULTIPLIER, Errors, Made, Moment, Status, Step
+from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import names
 from rmrc.problem.problem import Problem
@@ -35,6 +35,7 @@ _RECOVERING = 1 << Status.RECOVERING
 _MAX_ITER = 1 << Status.MAX_ITER
 _INVALID_INPUT = 1 << Status.INVALID_INPUT
 _FAILED = _MAX_ITER | _DEADLINE | _STALE | _INVALID_INPUT
+_SOLVED = SolveStatus.SOLVED  # to look it up takes 0.1 µs
 
 
 class Controller:
@@ -56,9 +57,12 @@ class Controller:
         self._frozen = frozen if frozen.any() else None
         self._refused = False
         self._term = dict(problem.term)
-        self._obstacle = {name: int(model.body(name).mocapid[0]) for name in names(model, "mocap")}
+        self._obstacle = {
+            name: int(model.body(name).mocapid[0]) for name in names(model, "mocap body")
+        }
         self._budget = problem.deadline
         self._timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
+        self._adapts = problem.config.damping.adapt != "off"
         self._jerk = bool(np.isfinite(problem.box.jerk).any())
         self._measures = problem.config.previous == "measured"
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
@@ -83,7 +87,7 @@ class Controller:
             a: Its acceleration (nv,).
 
         Raises:
-            ModelError: If q is not a configuration of this model.
+            ModelError: If q, v or a does not fit this model.
         """
         evaluation = self._evaluation
         if q is not None:
@@ -95,8 +99,7 @@ class Controller:
             self._q[:] = valid
         else:
             self._q[:] = self.problem.start
-        self._v[:] = 0.0 if v is None else v
-        self._a[:] = 0.0 if a is None else a
+        self._v[:], self._a[:] = self._rates("v", v), self._rates("a", a)
         self._refused = False
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
@@ -115,6 +118,15 @@ class Controller:
             evaluation.target[term.name][:] = term.target
             evaluation.stop(term.name)
         self.engine.reset()
+
+    def _rates(self, name: str, rates: ArrayLike | None) -> Array:
+        """Return rates (nv,) that are given, or zeros."""
+        if rates is None:
+            return np.zeros(self._model.nv)
+        valid = self._configurations.read_velocity(rates)
+        if valid is None:
+            raise ModelError(f"{name} must be {self._model.nv} finite numbers")
+        return valid
 
     def set_target(
         self,
@@ -219,8 +231,10 @@ class Controller:
             previous = self._previous(q is not None, valid, v, dt)
             if previous is None:
                 return self._brake(dt, _INVALID_INPUT)
-        if self._timed and self._stale(q is not None, age):
-            return self._brake(dt, _STALE)
+        if self._timed:
+            stale = self._stale(q is not None, age)
+            if stale is not False:
+                return self._brake(dt, _STALE if stale else _INVALID_INPUT)
         if self._jerk:
             self._evaluation.a_previous[:] = self._a
         solution = self.engine.solve(valid, previous, dt)
@@ -229,24 +243,30 @@ class Controller:
 
     def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
         """Return the velocity that this step starts from, as measured; None if v is not valid."""
+        before, self._measured = self._measured, q if measured else None
         if v is not None:
             return self._configurations.read_velocity(v)
-        before, self._measured = self._measured, q if measured else None
         if before is None or not measured:
             return self._v.copy()
         found = np.empty(self._model.nv)
         mujoco.mj_differentiatePos(self._model, found, dt, before, q)
         return found
 
-    def _stale(self, measured: bool, age: float) -> bool:
-        """Return whether the measurement or a target that was set is older than its timeout."""
+    def _stale(self, measured: bool, age: object) -> bool | None:
+        """Return whether the measurement or a target that was set is older than its timeout.
+
+        None if the age of the measurement is no age.
+        """
         problem, now = self.problem, self._clock
         if measured:
-            self._measured_at = now - (age if age >= 0.0 else math.inf)  # NaN has no age either
+            seconds = _number(age)
+            if seconds is None or not seconds >= 0.0:  # NaN is not
+                return None
+            self._measured_at = now - seconds
         oldest = min(self._set_at.values(), default=now)
         return (
             now - oldest > problem.target_timeout + TICK_ROUNDING
-            or not now - self._measured_at <= problem.measurement_timeout + TICK_ROUNDING
+            or now - self._measured_at > problem.measurement_timeout + TICK_ROUNDING
         )
 
     def _carried_out(
@@ -266,10 +286,8 @@ class Controller:
         self._q[:], self._v[:] = following, v
         self._clock += dt
         self.failures = self.failures + 1 if flags & _FAILED else 0
-        evaluation = self._evaluation
-        error = Errors(evaluation, evaluation.error.copy())
         moment = Moment(self.engine, q, previous, acceleration, dt)
-        return Step(Made(v, following, error, solution, moment), flags)
+        return Step(Made(v, following, solution, moment), flags)
 
     @property
     def q(self) -> Array:
@@ -277,8 +295,9 @@ class Controller:
         return self._q.copy()
 
     def command(self, v: Array, q: ArrayLike | None = None) -> Step:
-        """Return a step that carries out a velocity of the caller's own (nv,), inside the box.
+        """Return a step that carries out a velocity of the caller's own (nv,) inside the limits.
 
+        It is clipped into the box, and shortened where a distance would be passed.
         The program is not solved; the errors are those of the targets at q.
         """
         valid = self._q.copy() if q is None else self._configurations.read(q)
@@ -290,7 +309,10 @@ class Controller:
         solution = Solution.at_rest(qp, SolveStatus.SOLVED)
         solution.v = np.clip(v[dofs], qp.lb, qp.ub)
         solution.kkt = UNCERTIFIED
+        engine.keep_distances(solution, dt)
         flags = _RECOVERING if outside else 0
+        if engine.relaxed:
+            flags |= _RELAXED
         if np.abs(solution.v - v[dofs]).max() > 0.0:
             flags |= _LIMITED
         return self._carried_out(valid, solution, flags, dt, self._v.copy())
@@ -301,27 +323,26 @@ class Controller:
         if self._refused:
             self._refused = False
             flags |= _INVALID_INPUT
-        if solution.status is SolveStatus.TIME_LIMIT:
+        engine = self.engine
+        if solution.status is not _SOLVED:
+            flags |= _DEADLINE if solution.status is SolveStatus.TIME_LIMIT else _MAX_ITER
+        if self._budget < math.inf and perf_counter() > engine.deadline:
             flags |= _DEADLINE
-        elif solution.status is not SolveStatus.SOLVED:
-            flags |= _MAX_ITER
-        if self._budget < math.inf and perf_counter() > self.engine.deadline:
-            flags |= _DEADLINE
-        if self.engine.scaled:
+        if engine.scaled:
             flags |= _SCALED
-        if self.engine.outside:
+        if engine.outside:
             flags |= _RECOVERING
-        if self.engine.relaxed:
+        if engine.relaxed:
             flags |= _RELAXED
-        if self.engine.damped:
+        if self._adapts and engine.damped:
             flags |= _DAMPED
         if self._progress.stuck:
             flags |= _STUCK
-        z = solution.bound_multiplier if self._frozen is None else solution.bound_multiplier.copy()
+        z = solution.bound_multiplier
         if self._frozen is not None:
-            z[self._frozen] = 0.0  # a frozen joint is no limit that is in the way
+            z = np.where(self._frozen, 0.0, z)  # a frozen joint is no limit that is in the way
         y = solution.row_multiplier
-        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2:
+        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2 or engine.share < 1.0:
             flags |= _LIMITED
         return flags
 
@@ -339,12 +360,20 @@ class Controller:
         solution = Solution.at_rest(self.engine.assembly.qp)
         solution.v = v[self.problem.dofs]
         self._progress.reset()
+        self.engine.share = 1.0  # of a brake nothing was left out
         return self._carried_out(self._q.copy(), solution, flags, seconds, self._v.copy())
 
     def _seconds(self, dt: object) -> float | None:
         """Return a length of a step in s, or None if it is none."""
-        try:
-            seconds = float(dt)  # type: ignore[arg-type]
-        except (TypeError, ValueError, OverflowError):
-            return None
-        return seconds if SHORTEST <= seconds <= LONGEST else None
+        seconds = _number(dt)
+        return seconds if seconds is not None and SHORTEST <= seconds <= LONGEST else None
+
+
+def _number(value: object) -> float | None:
+    """Return a number as a float; None for what is none, a text of digits included."""
+    if isinstance(value, (str, bytes)):
+        return None
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return None

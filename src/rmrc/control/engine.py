@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.correct import Correction
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
-from rmrc.qp.backends import Backend, create
+from rmrc.qp.backends import HEALTHY, Backend, create
 from rmrc.qp.cascade import WHOLE, Cascade
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Solution, SolveStatus
@@ -27,8 +28,13 @@ Array = NDArray[np.float64]
 CERTIFIED = 1e-6
 """Largest KKT residual of a solution that is trusted: of limits in rad/s or m/s, of the others
 relative to the largest of 1 and ‖g‖, in the program's unit."""
+PROXIMAL = 20
+"""Outer iterations of ProxQP in place of another backend: nine of ten programs that it solves take
+fewer than 15, and one that it does not may take a second by its hundredth."""
 MOST_SHAPES = 256
 """Numbers of rows for which a backend is kept."""
+
+_SOLVED = SolveStatus.SOLVED  # to look it up takes 0.1 µs
 
 
 @dataclass(eq=False)
@@ -40,6 +46,8 @@ class _Solver:
     certificate: Certificate
     ready: bool = False
     """Whether the backend can start from its last solution."""
+    warm: bool = False
+    """Whether the last solve did so."""
 
 
 class PythonEngine:
@@ -58,8 +66,11 @@ class PythonEngine:
         self.assembly = Assembly(problem, self.evaluation)
         self.rows = Rows(problem, self.evaluation)
         self._shortening = Shortening(problem) if problem.barriers else None
-        self._solvers: dict[tuple[int, int], _Solver] = {}
+        self._correction = Correction(problem) if problem.barriers else None
+        self._solvers: dict[tuple[int, int, bool], _Solver] = {}
         self._solver = self._solver_of(self.assembly.qp)
+        hard = any(term.hard for term in self.evaluation.terms)
+        self._box_alone = not (self.rows.any or hard)
         directed = any(term.preserve for term in problem.terms)
         self._cascade = (
             Cascade(problem.dofs.size, self._new_backend) if problem.strict or directed else None
@@ -79,13 +90,22 @@ class PythonEngine:
         solver = self.problem.config.solver
         return create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
 
-    def _solver_of(self, qp: QP) -> _Solver:
-        shape = (qp.lo.size, qp.f.size)
-        if shape not in self._solvers:
+    def _other_backend(self) -> Backend:
+        """Return one of another kind: a dual method for a primal one, and the other way round."""
+        solver = self.problem.config.solver
+        if solver.backend != "daqp":
+            return create("daqp", max_iter=solver.max_iter)
+        return create("proxqp", max_iter=min(solver.max_iter or PROXIMAL, PROXIMAL))
+
+    def _solver_of(self, qp: QP, other: bool = False) -> _Solver:
+        """Return what solves programs of this shape: the backend that was chosen, or another."""
+        key = (qp.lo.size, qp.f.size, other)
+        if key not in self._solvers:
             if len(self._solvers) >= MOST_SHAPES:
                 self._solvers.clear()
-            self._solvers[shape] = _Solver(qp, self._new_backend(), Certificate(qp))
-        return self._solvers[shape]
+            backend = self._other_backend() if other else self._new_backend()
+            self._solvers[key] = _Solver(qp, backend, Certificate(qp))
+        return self._solvers[key]
 
     @property
     def damped(self) -> bool:
@@ -104,15 +124,20 @@ class PythonEngine:
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
 
-        The rungs: the full program; the same from a cold start; the least violation of rows and
-        equalities, and the optimum within it; the box alone; a brake, which is the point of the
-        box nearest to rest. Its v is then shortened where distances would be passed.
+        The rungs: the full program; the same from a cold start; the same by another backend; the
+        least violation of rows and equalities, and the optimum within it; the box alone; a brake,
+        which is the point of the box nearest to rest. Where distances would be passed at the end of
+        the step, it is solved again for the curvature of the step, or shortened.
         """
         self.outside = self.prepare(q, v_previous, dt)
-        self.scaled, self.share = False, 1.0
-        solution = self._descend_ladder()
+        self.scaled = False
+        solution = self._best()
+        if not self._trusted(solution):
+            solution = self._descend_ladder(solution)
         if self._shortening is not None and self.rows.blocks:
-            self._shorten(self._shortening, solution, dt)
+            solution = self._at_distance(solution, dt)
+        else:
+            self.share = 1.0
         return solution
 
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
@@ -120,15 +145,16 @@ class PythonEngine:
 
         Return whether a joint is outside its range, or a distance below its limit.
         """
-        evaluation, assembly, rows = self.evaluation, self.assembly, self.rows
+        evaluation, assembly = self.evaluation, self.assembly
         evaluation.v_previous[:] = v_previous
         evaluation.update(q)
         evaluation.evaluate()
         outside = assembly.assemble(q, dt)
+        if self._box_alone:
+            return outside
         equalities = assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
-        if not rows.any and equalities is None:
-            return outside
+        rows = self.rows
         rows.update(assembly.box, assembly.rate, dt)
         count = 0 if equalities is None else equalities.right.size
         if (rows.count, count) != (assembly.qp.lo.size, assembly.qp.f.size):
@@ -141,9 +167,9 @@ class PythonEngine:
         self._solver = self._solver_of(qp)
         return outside or rows.passed
 
-    def _descend_ladder(self) -> Solution:
-        """Return the solution of the first rung that holds."""
-        solution, qp = self._best(), self.assembly.qp
+    def _descend_ladder(self, failed: Solution) -> Solution:
+        """Return the solution of the first rung that holds, from a cold start on."""
+        solution, qp = self._elsewhere(self._from_cold(failed)), self.assembly.qp
         if self._trusted(solution):
             return solution
         if not (qp.lo.size or qp.f.size):
@@ -152,50 +178,66 @@ class PythonEngine:
             violation = least_violation(qp)
             if violation is not None:
                 self.relaxed |= violation > INCONSISTENT
-                solution = self._best()
+                solution = self._elsewhere(self._best(), feasible=True)
         if self._trusted(solution) or self._feasible(solution):
             return solution
-        self.relaxed = True
         if self._in_time():
+            self.relaxed = True
             solution = self._without_rows(qp)
             if self._trusted(solution) or self._feasible(solution):
                 return solution
         return self._stop(solution)
 
     def _best(self) -> Solution:
-        """Return the optimum of the program, from a warm and then from a cold start."""
-        qp, solver = self.assembly.qp, self._solver
-        if self._cascade is not None:
-            self._cascade.deadline = self.deadline
-            solution = self._cascade.solve(self.assembly.levels(), qp)
-            self.scaled = self._cascade.scale < 1.0 - WHOLE
-            return solution
-        warm = solver.ready
-        solution = self._attempt(solver)
-        if warm and not self._trusted(solution) and self._in_time():
-            solver.ready = False
-            solution = self._attempt(solver)
+        """Return the optimum of the program, from a warm start where there is one."""
+        if self._cascade is None:
+            return self._attempt(self._solver)
+        self._cascade.deadline = self.deadline
+        solution = self._cascade.solve(self.assembly.levels(), self.assembly.qp)
+        self.scaled = self._cascade.scale < 1.0 - WHOLE
         return solution
+
+    def _from_cold(self, solution: Solution) -> Solution:
+        """Return the optimum from a cold start, where a warm one led to another point."""
+        solver = self._solver
+        again = self._cascade is None and solver.warm and not self._trusted(solution)
+        if not again or not self._in_time():
+            return solution
+        solver.ready = False
+        return self._attempt(solver)
+
+    def _elsewhere(self, solution: Solution, feasible: bool = False) -> Solution:
+        """Return the optimum as another backend finds it, where this one gives up on its own.
+
+        A program that is known to be feasible it gives up on even where it says the contrary.
+        """
+        refused = solution.status is SolveStatus.INFEASIBLE and not feasible
+        if refused or self._trusted(solution) or self._cascade is not None or not self._in_time():
+            return solution
+        other = self._solver_of(self.assembly.qp, other=True)
+        other.ready = False
+        found = self._attempt(other)
+        return found if self._trusted(found) else solution
 
     def _attempt(self, solver: _Solver) -> Solution:
         if self.deadline < math.inf:
             solver.backend.allow(self.deadline - perf_counter())
-        if solver.ready:
+        solver.warm = solver.ready
+        if solver.warm:
             solver.backend.update(solver.qp)
         else:
             solver.backend.setup(solver.qp)
-            solver.ready = True
         solution = solver.backend.solve()
         solver.certificate.certify(solution)
         # What ran out of time goes on from where it got to.
-        solver.ready = solution.status in (SolveStatus.SOLVED, SolveStatus.TIME_LIMIT)
+        solver.ready = solution.status in HEALTHY
         return solution
 
     def _in_time(self) -> bool:
         return self.deadline == math.inf or perf_counter() < self.deadline
 
     def _trusted(self, solution: Solution) -> bool:
-        if solution.status is not SolveStatus.SOLVED:
+        if solution.status is not _SOLVED:
             return False
         primal, dual, complementarity = solution.kkt
         if primal > CERTIFIED:
@@ -231,12 +273,58 @@ class PythonEngine:
         v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
 
-    def _shorten(self, shortening: Shortening, solution: Solution, dt: float) -> None:
+    def keep_distances(self, solution: Solution, dt: float) -> None:
         """Shorten v towards the brake where a distance would be passed at the end of the step."""
+        self.share = 1.0
+        if self._shortening is None or not self.rows.blocks:
+            return
         evaluation, brake = self.evaluation, self._brake()
-        self.share, passed = shortening.share(
+        self.share, passed = self._shortening.share(
             evaluation.data, evaluation.obstacle_twist, solution.v, brake, self.rows.blocks, dt
         )
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
+            passed = passed or self._misses(solution.v)
         self.relaxed |= passed
+
+    def _misses(self, v: Array) -> bool:
+        """Return whether a shortened command misses equalities, or rows that are no distances'.
+
+        Of the speed of a frame its norm counts, not the box inside it that the rows are.
+        """
+        qp, rows = self.assembly.qp, self.rows
+        if qp.f.size and np.abs(qp.E @ v - qp.f).max() > CERTIFIED:
+            return True
+        if qp.lo.size != rows.count:
+            return False
+        activity = qp.C @ v
+        missed = np.maximum(qp.lo - activity, activity - qp.hi)
+        for block in rows.blocks:
+            missed[block.rows] = 0.0
+        frames = slice(rows.speed_count)
+        velocity, bound = activity[frames].reshape(-1, 3), qp.hi[frames].reshape(-1, 3)
+        missed[frames] = 0.0
+        too_fast = np.linalg.norm(velocity, axis=1) - np.linalg.norm(bound, axis=1)
+        return max(missed.max(initial=0.0), too_fast.max(initial=0.0)) > CERTIFIED
+
+    def _at_distance(self, solution: Solution, dt: float) -> Solution:
+        """Return a solution that keeps distances: solved again for the curvature, or shortened."""
+        whole, relaxed = solution.v, self.relaxed
+        self.keep_distances(solution, dt)
+        qp, evaluation = self.assembly.qp, self.evaluation
+        untouched = self.share == 1.0 or qp.lo.size != self.rows.count
+        if self._correction is None or untouched or not self._in_time():
+            return solution
+        present = (evaluation.data, evaluation.obstacle_twist)
+        if not self._correction.raise_rows(qp, self.rows.blocks, present, whole, dt):
+            return solution
+        corrected = self._best()
+        if not self._trusted(corrected):
+            return solution
+        share, passed = self.share, self.relaxed
+        self.relaxed = relaxed
+        self.keep_distances(corrected, dt)
+        if self.share > share:
+            return corrected
+        self.share, self.relaxed = share, passed
+        return solution

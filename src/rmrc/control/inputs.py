@@ -32,6 +32,7 @@ _FOREIGN = {
 
 # A struct writes a few numbers into an array in half the time of an assignment.
 _POSE, _POINT = Struct("7d"), Struct("3d")
+_FLOAT = np.dtype(float)  # there is one of it
 
 
 def sane(array: Array) -> bool:
@@ -41,6 +42,8 @@ def sane(array: Array) -> bool:
 
 def numbers(value: Any, size: int) -> Array | None:
     """Return real numbers (size,) as floats, not copied if they are; None if value is none."""
+    if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == (size,):
+        return value
     try:
         array = np.asarray(value)
     except Exception:  # arrays of other libraries raise what they like, as PyTorch's on a GPU

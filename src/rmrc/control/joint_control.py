@@ -7,14 +7,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.configuration import joint_dofs, joint_type
+from rmrc.problem.actuators import joint_actuators, servos
+from rmrc.problem.configuration import joint_dofs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-_SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-_ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-_DIRECT = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
 class JointControl(Protocol):
@@ -90,7 +87,7 @@ class ComputedTorque:
         self._model = model
         self._stiffness, self._damping = bandwidth**2, 2.0 * damping_ratio * bandwidth
         self._limit = torque_limits(model)
-        actuators = _joint_actuators(model)
+        actuators = joint_actuators(model)
         held = [joint_dofs(model, int(model.actuator_trnid[a, 0])) for a in actuators]
         self._idle = np.ones(model.nv, dtype=bool)
         self._idle[np.concatenate([dofs, *held])] = False
@@ -139,7 +136,7 @@ def torque_limits(model: mujoco.MjModel) -> Array:
     It is what the joint's actuators can give together, within the joint's own limit.
     """
     given = np.zeros(model.nv)
-    for actuator in _joint_actuators(model):
+    for actuator in joint_actuators(model):
         limited = model.actuator_forcelimited[actuator]
         largest = np.abs(model.actuator_forcerange[actuator]).max() if limited else np.inf
         dof = model.jnt_dofadr[model.actuator_trnid[actuator, 0]]
@@ -151,26 +148,10 @@ def torque_limits(model: mujoco.MjModel) -> Array:
     return limit
 
 
-def _joint_actuators(model: mujoco.MjModel) -> list[int]:
-    """Return the actuators that act on a hinge or a slide."""
-    return [
-        actuator
-        for actuator in range(model.nu)
-        if mujoco.mjtTrn(int(model.actuator_trntype[actuator])) in _ON_JOINT
-        and joint_type(model, int(model.actuator_trnid[actuator, 0])) in _SCALAR
-    ]
-
-
 def _position_servos(model: mujoco.MjModel) -> list[int]:
     """Return the actuators on joints whose force pulls towards the control."""
-    return [
-        actuator
-        for actuator in _joint_actuators(model)
-        if mujoco.mjtGain(int(model.actuator_gaintype[actuator])) == mujoco.mjtGain.mjGAIN_FIXED
-        and mujoco.mjtBias(int(model.actuator_biastype[actuator])) == mujoco.mjtBias.mjBIAS_AFFINE
-        and mujoco.mjtDyn(int(model.actuator_dyntype[actuator])) in _DIRECT
-        and model.actuator_gainprm[actuator, 0] > 0.0 > model.actuator_biasprm[actuator, 1]
-    ]
+    gain, position = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1]
+    return [actuator for actuator in servos(model) if gain[actuator] > 0.0 > position[actuator]]
 
 
 def _quotient(limit: Array, stiffness: Array) -> Array:

@@ -118,6 +118,12 @@ def ignored(problem: Problem) -> list[Term]:
 def shortcomings(problem: Problem) -> list[str]:
     """Return what the problem's method cannot honour, a sentence each."""
     method, lines = problem.config.method, []
+    follow = problem.config.follow
+    if follow != "rate" and problem.barriers:
+        lines.append(
+            f"follow {follow} shortens its commands where a distance would be passed, but does not "
+            "evade what moves towards the robot"
+        )
     if method == "qp":
         return lines
     if method not in WITHIN_LIMITS:
@@ -203,6 +209,9 @@ class ClosedFormEngine:
 
     def reset(self) -> None:
         """A closed form remembers nothing."""
+
+    def keep_distances(self, solution: Solution, dt: float) -> None:
+        """Do nothing: a closed form keeps no distances."""
 
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
         """Evaluate and assemble without solving; return whether a joint is outside its range."""

@@ -25,7 +25,7 @@ from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.centering import CenteringTerm
 from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.coupling import CouplingTerm
-from rmrc.problem.tasks.frame import FrameTerm
+from rmrc.problem.tasks.frame import FARTHEST, FrameTerm
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
 from rmrc.problem.tasks.look_at import LookAtTerm
@@ -195,7 +195,10 @@ class NativeEngine(PythonEngine):
         rows = self._rows_of(term, square_root(weight))
         match term:
             case FrameTerm():
-                native.add_frame(rows, self._frame(term.frame), term.axes == "world")
+                if term.axes == "world":
+                    native.add_world_frame(rows, self._frame(term.frame))
+                else:
+                    native.add_frame(rows, self._frame(term.frame), min(term.clamp[0], FARTHEST))
             case RelativeFrameTerm():
                 native.add_relative(rows, self._frame(term.frame), self._frame(term.root))
             case LookAtTerm():
@@ -214,7 +217,7 @@ class NativeEngine(PythonEngine):
         """Return what all terms have: `root` is S, or B of a term on the joints themselves."""
         evaluation, at = self.evaluation, self.evaluation.index[term.name]
         return _native.TermRows(
-            first=evaluation.slice_of(term.name).start,
+            first=evaluation.rows_of([term]).start,
             count=term.rows,
             gain=term.gain,
             root=root.ravel().tolist(),
@@ -269,7 +272,7 @@ class NativeEngine(PythonEngine):
         adaptive, damping = self.assembly.adaptive, self.problem.config.damping
         if not adaptive.adapts:
             return
-        starts = [self.evaluation.slice_of(term.name).start for term in self.evaluation.terms]
+        starts = [self.evaluation.rows_of([term]).start for term in self.evaluation.terms]
         rows = []
         for row in adaptive.rows.tolist():
             term = int(np.searchsorted(starts, row, side="right")) - 1

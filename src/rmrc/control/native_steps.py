@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rmrc import _native
 from rmrc.control.inputs import Configurations
 from rmrc.control.progress import Progress
-from rmrc.control.step import Errors, Moment, Step
+from rmrc.control.step import Moment, Step
 from rmrc.problem.evaluation import Kept
 from rmrc.qp.program import KKT, Solution, SolveStatus
 
@@ -63,7 +63,7 @@ class Layout:
         return np.frombuffer(memoryview(record))[place].reshape(shape).copy()
 
     def surroundings(self, record: _native.Record) -> Kept:
-        """Return what a step depended on beside q and v_prev."""
+        """Return the error of a step, and what it depended on beside q and v_prev."""
         moving = self.part(record, "moving").astype(np.uint8).tobytes()
         twists = (moving, self.part(record, "twists")) if 1 in moving else None
         obstacles = None
@@ -73,16 +73,11 @@ class Layout:
                 self.part(record, "mocap_quat"),
                 self.part(record, "obstacle_twist"),
             )
-        return Kept(self.part(record, "targets"), twists, obstacles)
+        return Kept(self.part(record, "error"), self.part(record, "targets"), twists, obstacles)
 
 
 class Record(_native.Record):
     """A step of the extension's, of which the rest is made when it is asked for."""
-
-    @cached_property
-    def error(self) -> Errors:
-        """True errors of the tasks before the step."""
-        return Errors(self.engine.evaluation, self.engine.layout.part(self, "error"))
 
     @cached_property
     def solution(self) -> Solution:
@@ -124,6 +119,7 @@ def build_stepper(engine: "NativeEngine", native: _native.Engine, q: Array, v: A
             (places[term.name], weight.tolist(), *limits)
             for term, weight, limits in progress.watched()
         ],
+        targets=evaluation.targets,
         tolerance=progress.tolerance,
     )
     targets = {}
@@ -134,7 +130,7 @@ def build_stepper(engine: "NativeEngine", native: _native.Engine, q: Array, v: A
                 term.target_kind == "pose",
                 evaluation.target[term.name],
                 evaluation.twist[term.name],
-                evaluation.feedforward[evaluation.slice_of(term.name)],
+                evaluation.feedforward[evaluation.rows_of([term])],
                 moving[index : index + 1],
             )
     return Stepper(stepper, targets)

@@ -13,9 +13,9 @@ from rmrc.qp.assemble import Assembly
 Array = NDArray[np.float64]
 
 WINDOW = 0.25
-"""Time without progress after which the tasks are stuck, s."""
+"""Time over which progress is judged, s."""
 LOOKS = 10
-"""Looks at the progress in that time."""
+"""Looks at the errors in that time."""
 SHARE = 1e-3
 """Share of the speed that is asked for below which there is no progress."""
 TOLERANCES = 0.1
@@ -23,15 +23,17 @@ TOLERANCES = 0.1
 
 
 class Progress:
-    """Watches the speed p = eᵀB J v / ‖e‖_B at which the decisive tasks approach their targets.
+    """Watches the error ‖e‖_B of the decisive tasks.
 
-    They are stuck where an error is above its tolerance and p is below a tenth of the tolerance a
-    second and a thousandth of the speed asked for, eᵀB ẋ / ‖e‖_B, for a quarter of a second. Joint
-    rates that move nothing on are no progress; a slow gain is no want of it.
+    They are stuck where an error is above its tolerance and the least ‖e‖_B of a quarter of a
+    second is that of the quarter before, but for a tenth of the tolerance a second or a thousandth
+    of the speed asked for, eᵀB ẋ / ‖e‖_B. Joint rates that move nothing on are no progress, nor is
+    a joint that goes to and fro; a slow gain is no want of it, nor are joints that still turn
+    round. Beside targets that move it is the speed of the approach, eᵀB J v / ‖e‖_B, that counts.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation, assembly: Assembly):
-        self._evaluation, self._assembly, self._dofs = evaluation, assembly, problem.dofs
+        self._evaluation, self._assembly, self._dofs = evaluation, assembly, _run(problem.dofs)
         tolerance = problem.config.tolerance
         limit = {"m": tolerance.position, "rad": tolerance.orientation}
         self._terms = [
@@ -40,7 +42,7 @@ class Progress:
             if term.decisive and not term.joint and term.level == 0
         ]
         parts = [np.arange(part.start, part.stop) for _, part, _ in self._terms]
-        self._rows = np.concatenate([*parts, np.zeros(0, np.intp)]).astype(np.intp)
+        self._rows = _run(np.concatenate([*parts, np.zeros(0, np.intp)]).astype(np.intp))
         weights = [_diagonal(term) for term, _, _ in self._terms]
         self._weight = np.concatenate([*weights, np.zeros(0)])
         tolerances = [_row_tolerances(term, limit) for term, _, _ in self._terms]
@@ -52,8 +54,16 @@ class Progress:
 
     def reset(self) -> None:
         """Forget what was."""
-        self._since_look = self._without = 0.0
         self.stuck = False
+        self._since_look = 0.0
+        self._targets = self._evaluation.targets.copy()
+        self._before = math.inf
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin a window."""
+        self._elapsed, self._least, self._fastest = 0.0, math.inf, -math.inf
+        self._still, self._moving = True, True  # whether targets never moved; whether they always
 
     def update(self, v: Array, dt: float) -> None:
         """Take note of a command v (n,) for a step of dt at the present evaluation."""
@@ -61,8 +71,38 @@ class Progress:
         if self._since_look * LOOKS < WINDOW or not self._terms:
             return
         elapsed, self._since_look = self._since_look, 0.0
-        self._without = self._without + elapsed if self._stands(v) else 0.0
-        self.stuck = self._without >= WINDOW
+        evaluation, rows = self._evaluation, self._rows
+        error = evaluation.error[rows]
+        pull = self._weight * error
+        length = math.sqrt(max(pull.dot(error), 0.0))
+        if length == 0.0 or not self._is_off():
+            self.reset()
+            return
+        asked = pull.dot(self._assembly.rate[rows]) / length
+        speed = pull.dot(evaluation.jacobian[rows])[self._dofs].dot(v) / length
+        self._elapsed += elapsed
+        self._least, self._fastest = min(self._least, length), max(self._fastest, speed)
+        moved = not np.array_equal(evaluation.targets, self._targets)
+        self._still, self._moving = self._still and not moved, self._moving and moved
+        self._targets[:] = evaluation.targets
+        if self._elapsed >= WINDOW:
+            self._judge(min(TOLERANCES * self.tolerance, SHARE * asked))
+
+    def _judge(self, slowest: float) -> None:
+        """Say at the end of a window whether the tasks are stuck."""
+        if self._still:
+            self.stuck = abs(self._before - self._least) < slowest * self._elapsed
+        else:
+            self.stuck = self._moving and self._fastest < slowest
+        self._before = self._least
+        self._begin()
+
+    def _is_off(self) -> bool:
+        """Return whether an error is above its tolerance."""
+        return any(
+            (term.measure(self._evaluation.error[part]) > limits).any()
+            for term, part, limits in self._terms
+        )
 
     def watched(self) -> list[tuple[Term, Array, tuple[float, float]]]:
         """Return the decisive tasks, B's diagonal, and the distance and angle that count as there.
@@ -78,22 +118,12 @@ class Progress:
             found.append((term, _diagonal(term), pair))
         return found
 
-    def _stands(self, v: Array) -> bool:
-        evaluation = self._evaluation
-        if not any(
-            (term.measure(evaluation.error[part]) > limits).any()
-            for term, part, limits in self._terms
-        ):
-            return False
-        rows, weight = self._rows, self._weight
-        error = evaluation.error[rows]
-        pull = weight * error
-        length = math.sqrt(max(pull.dot(error), 0.0))
-        if length == 0.0:
-            return False
-        asked = pull.dot(self._assembly.rate[rows]) / length
-        speed = pull.dot(evaluation.jacobian[np.ix_(rows, self._dofs)] @ v) / length
-        return speed < min(TOLERANCES * self.tolerance, SHARE * asked)
+
+def _run(indices: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return indices as the slice that they are, if they are one: it needs no copy."""
+    if indices.size and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
 
 
 def _diagonal(term: Term) -> Array:

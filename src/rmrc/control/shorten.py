@@ -1,31 +1,130 @@
 """The check of a command where it leads, and its shortening where a distance would be passed."""
 
 import math
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.problem.limits.collision import Collision
 from rmrc.problem.problem import Problem
 from rmrc.qp.rows import PASSED, Block
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
 
 TOLERANCE = 0.5 * PASSED
 """How far below 0 a distance may be at the end of a step, m or rad."""
+NOISE = 1e-9
+"""How much a distance below 0 may lose by rounding, m or rad."""
+MOST_LOOKS = 256
+"""Looks at a way to rest after which what is not known to be free counts as passed."""
 TRIALS = 10
 """Most shares of a command that are tried, once the whole of it is too much."""
-LOOKS = 24
-"""Most configurations on the way to rest that are looked at, unless a thin geom asks for more."""
-NARROW = 1e-3
-"""Room in m or rad below which a minimum on the way to rest is looked at more closely."""
+GUESSES = 10
+"""Most shares at which one distance is measured, before all of them are looked at."""
+MOST_PARTS = 24
+"""Most parts of a step that are looked at, so that nothing is passed through."""
 NEARER = 0.98
 """Share of the way to where a straight line puts the limit, for distances are curved."""
 LEAST_PART, CLOSE = 0.1, 0.01
-"""Least share of the interval that a trial takes off, and length at which it is short enough."""
+"""Least share of the interval that a guess takes off, and length at which it is short enough."""
 
-Watched = tuple[Block, NDArray[np.intp]]
-"""A barrier, and which of its near entries the motion could carry below their limit."""
+
+class _Path:
+    """The way of a step with v, and of those after it, the ith of which has |v| − i a dt left.
+
+    Its places are counted in steps: 0 is the present configuration, 1 where v leads, and at `last`
+    all joints rest.
+    """
+
+    def __init__(self, v: Array, deceleration: Array, dt: float):
+        self._sign, self._speed, self.dt = np.sign(v), np.abs(v), dt
+        change = deceleration * dt
+        self._count = np.floor(self._speed / change)
+        self._change = np.where(change < math.inf, change, 0.0)  # no ∞ · 0
+        self._half = 0.5 * self._change
+        self.last = 1 + int(self._count.max())
+
+    def way(self, place: float) -> Array:
+        """Return how far the joints have moved at a place (n,)."""
+        if place <= 1.0:
+            return self._sign * self._speed * (place * self.dt)
+        count = np.minimum(self._count, place - 1.0)
+        return self._sign * (
+            ((count + 1.0) * self._speed - self._half * (count * (count + 1.0))) * self.dt
+        )
+
+    def motion(self, place: float) -> tuple[Array, Array]:
+        """Return the largest |q̇| and |q̈| of the joints after a place (n,)."""
+        moving = self._count >= place
+        return (self._speed - place * self._change) * moving, self._change * (moving / self.dt)
+
+
+class _Watched:
+    """The entries of a barrier that a motion could carry below what is allowed."""
+
+    def __init__(self, block: Block, chosen: Ids):
+        self.barrier, self.ids = block.barrier, block.near.ids[chosen]
+        self.floor = np.minimum(block.near.distance[chosen] - NOISE, -TOLERANCE)
+        self.now = block.near.distance[chosen] - self.floor
+        """What is known of the rooms at the present configuration (k,)."""
+
+    def known(self, data: mujoco.MjData, which: Ids) -> Array:
+        """Return what is known of the rooms of some entries (k,) without measuring."""
+        return self.measured(data, which)
+
+    def measured(self, data: mujoco.MjData, which: Ids) -> Array:
+        """Return the rooms of some entries (k,)."""
+        return self.barrier.distances(data, self.ids[which]) - self.floor[which]
+
+    def falls(self, which: Ids, step: Array, speed: Array, change: Array) -> tuple[Array, Array]:
+        """Return by how much rooms (k,) can fall in a step, and what is known accelerate.
+
+        Args:
+            which: Of which entries.
+            step: |Δq| (nv,).
+            speed: |q̇| (nv,).
+            change: |q̈| (nv,).
+        """
+        ids, reach = self.ids[which], self.barrier.reach
+        return reach(ids, step, 0.0), reach(ids, change + speed.sum() * speed, 0.0)
+
+
+class _WatchedPairs(_Watched):
+    """Pairs of geoms, with planes between them that say what need not be measured."""
+
+    def __init__(
+        self, block: Block, chosen: Ids, collision: Collision, data: mujoco.MjData, reach: Array
+    ):
+        super().__init__(block, chosen)
+        self._planes = collision.planes(data, self.ids)
+        self.now = self._planes.distance - self.floor
+        self._levers, self._carried, self._moves = collision.motion(self.ids, reach)
+
+    def known(self, data: mujoco.MjData, which: Ids) -> Array:
+        return self._planes.least(data, which) - self.floor[which]
+
+    def falls(self, which: Ids, step: Array, speed: Array, change: Array) -> tuple[Array, Array]:
+        carried, moves = self._carried[which], self._moves[which]
+        bend = carried @ change + (carried @ speed) * (moves @ speed)
+        return self._levers[which] @ step, bend
+
+
+@dataclass(eq=False)
+class _Look:
+    """What a look at one place gave: rooms, distances above what is allowed."""
+
+    place: float
+    way: Array
+    room: list[Array]
+    """Of each barrier that is watched (k,); ∞ where it was not looked at."""
+    known: list[Array]
+    """What is known of them without measuring (k,), and how fast it changes."""
+    least: float = math.inf
+    worst: tuple[_Watched, int] | None = None
+    """The barrier and the entry that have it."""
 
 
 class Shortening:
@@ -35,19 +134,18 @@ class Shortening:
     inside the box for 0 ≤ s ≤ 1. s is the largest found at which no distance h falls below
     min(0, h now), neither after the step nor, with acceleration limits, at any step after it in
     which the joints brake at a_max. So b keeps what the step before has left: the robot can always
-    stop. On the way to rest a look may be skipped where no motion could use up the distance that
-    there is (conservative advancement: Mirtich 1996).
+    stop. The way to rest is halved until each part is known to be free: by planes between the geoms
+    and the most that a path can bend between two looks, or by the distances at both and the most
+    that the joints can take off them (as conservative advancement does: Mirtich 1996).
     """
 
     def __init__(self, problem: Problem):
         self._model, self._dofs = problem.model, problem.dofs
         self._data = mujoco.MjData(problem.model)
-        limited = np.isfinite(problem.box.acceleration)
-        self._deceleration = np.where(limited, problem.box.acceleration, math.inf)
-        self._brakes = bool(limited.any())
-        self._tangent = np.zeros(problem.model.nv)
-        self._q = np.zeros(problem.model.nq)
-        self._start, self._seconds = np.zeros(problem.model.nq), 0.0
+        self._deceleration = problem.box.acceleration
+        self._slows = bool(np.isfinite(self._deceleration).all())
+        self._tangent = np.zeros((3, problem.model.nv))
+        self._start, self._steady, self._still = np.zeros(problem.model.nq), True, True
 
     def share(
         self,
@@ -68,157 +166,176 @@ class Shortening:
             blocks: The barriers that are near.
             dt: Length of the step, s.
         """
-        watched = self._watched(v, brake, blocks, dt)
+        whole, rest = (_Path(command, self._deceleration, dt) for command in (v, brake))
+        watched = self._watched(data, [whole], blocks)
         if not watched:
             return 1.0, False
-        self._start[:], self._seconds = data.qpos, dt
+        self._start[:], self._still = data.qpos, not twist.any()
+        self._steady = self._still and self._slows
         self._move_obstacles(data, twist, dt)
-        low, high = 0.0, 1.0
-        room_high = self._room(v, watched, dt)
-        if room_high >= 0.0:
+        look = self._worst(whole, watched)
+        if look.least >= 0.0:
             return 1.0, False
-        room_low = self._room(brake, watched, dt)
-        if room_low < 0.0:
-            return 0.0, True
-        for _ in range(TRIALS):
-            part = NEARER * room_low / (room_low - room_high)
-            share = low + (high - low) * min(max(part, LEAST_PART), 1.0 - LEAST_PART)
-            room = self._room(brake + share * (v - brake), watched, dt)
+        watched = self._watched(data, [whole, rest], blocks)
+        high = 1.0
+        for trial in range(TRIALS):
+            high = self._guess(look, (v, brake), high, dt) * (1.0 - LEAST_PART * trial)
+            if high == 0.0:
+                break
+            look = self._worst(_Path(brake + high * (v - brake), self._deceleration, dt), watched)
+            if look.least >= 0.0:
+                return high, False
+        # What the step before has left may be used up by rounding.
+        return 0.0, self._worst(rest, watched).least < -TOLERANCE
+
+    def _watched(
+        self, data: mujoco.MjData, paths: list[_Path], blocks: list[Block]
+    ) -> list[_Watched]:
+        """Return the entries that a motion on one of the paths could carry below their limit."""
+        ways = [np.abs(path.way(path.last)) for path in paths]
+        step, watched = self._over_all(np.maximum.reduce(ways)), []
+        for block in blocks:
+            barrier = block.barrier
+            reach = barrier.reach(block.near.ids, step, paths[0].dt)
+            chosen = (block.near.distance < reach).nonzero()[0]
+            if chosen.size and isinstance(barrier, Collision):
+                watched.append(_WatchedPairs(block, chosen, barrier, data, reach[chosen]))
+            elif chosen.size:
+                watched.append(_Watched(block, chosen))
+        return watched
+
+    def _over_all(self, values: Array, row: int = 0) -> Array:
+        """Return values of the dofs that may move as those of all dofs (nv,), in a buffer kept."""
+        self._tangent[row, self._dofs] = values
+        return self._tangent[row]
+
+    def _guess(
+        self,
+        look: _Look,
+        ends: tuple[Array, Array],
+        high: float,
+        dt: float,
+    ) -> float:
+        """Return a share below `high` at which the worst entry of a look has room again."""
+        assert look.worst is not None
+        (v, brake), each, entry = ends, look.worst[0], np.array([look.worst[1]])
+        low, room_low, room_high, share = 0.0, math.inf, look.least, 0.0
+        for _ in range(GUESSES):
+            path = _Path(brake + share * (v - brake), self._deceleration, dt)
+            self._place(path.way(look.place))
+            room = float(each.measured(self._data, entry)[0])
             if room < 0.0:
                 high, room_high = share, room
             else:
                 low, room_low = share, room
-                if room <= TOLERANCE or high - low < CLOSE:
-                    break
-        return low, False
-
-    def _watched(self, v: Array, brake: Array, blocks: list[Block], dt: float) -> list[Watched]:
-        """Return the entries that the motion could carry below their limit."""
-        longest = np.maximum(np.abs(self._way(v, dt)), np.abs(self._way(brake, dt)))
-        self._tangent[:] = 0.0
-        self._tangent[self._dofs] = longest
-        watched = []
-        for block in blocks:
-            fall = block.barrier.reach(block.near.ids, self._tangent, dt)
-            chosen = np.flatnonzero(block.near.distance < fall)
-            if chosen.size:
-                watched.append((block, chosen))
-        return watched
-
-    def _way(self, v: Array, dt: float, steps: int | None = None) -> Array:
-        """Return how far a step of v and the braking after it lead (n,): all of it, or a part.
-
-        In step i of the braking a joint still has |v| − i a dt.
-        """
-        if not self._brakes:
-            return v * dt
-        change = self._deceleration * dt
-        count = np.floor(np.abs(v) / change)
-        if steps is not None:
-            count = np.minimum(count, steps)
-        braked = 0.5 * np.where(count > 0.0, change, 0.0) * (count * (count + 1.0))  # no ∞ · 0
-        return np.sign(v) * ((count + 1.0) * np.abs(v) - braked) * dt
-
-    def _room(self, command: Array, watched: list[Watched], dt: float) -> float:
-        """Return the least distance above what is allowed, on the way of a command to rest.
-
-        It is that of the first look at which it is below 0, where there is one.
-        """
-        parts, first = self._parts(command, watched, dt), command * dt
-        least, rooms = math.inf, []
-        for k in range(1, parts + 1):
-            rooms = self._rooms(first * (k / parts), watched)
-            least = min(least, *(float(room.min()) for room in rooms))
-            if least < 0.0:
-                return least
-        if not self._brakes:
-            return least
-        last = int(np.max(np.floor(np.abs(command) / (self._deceleration * dt))))
-        step, longest, at = 0, max(1, math.ceil(last / LOOKS)), first
-        looks = [(0, least)]
-        while step < last:
-            step = self._next(command, at, rooms, watched, (step, last, longest), dt)
-            at = self._way(command, dt, step)
-            rooms = self._rooms(at, watched)
-            looks.append((step, min(float(room.min()) for room in rooms)))
-            if looks[-1][1] < 0.0:
-                return looks[-1][1]
-        return min(least, self._refined(command, looks, watched, dt))
-
-    def _refined(
-        self, command: Array, looks: list[tuple[int, float]], watched: list[Watched], dt: float
-    ) -> float:
-        """Return the least room of the braking, with every step looked at around its minimum."""
-        k = min(range(len(looks)), key=lambda k: looks[k][1])
-        least = looks[k][1]
-        if least > NARROW:
-            return least
-        before, after = looks[max(k - 1, 0)][0], looks[min(k + 1, len(looks) - 1)][0]
-        for step in range(before + 1, after):
-            if step != looks[k][0]:
-                rooms = self._rooms(self._way(command, dt, step), watched)
-                least = min(least, *(float(room.min()) for room in rooms))
-        return least
-
-    def _parts(self, command: Array, watched: list[Watched], dt: float) -> int:
-        """Return into how many parts to cut the step, so that nothing is passed through."""
-        self._tangent[:] = 0.0
-        self._tangent[self._dofs] = np.abs(command) * dt
-        passes = 1.0
-        for block, chosen in watched:
-            ids = block.near.ids[chosen]
-            fall = block.barrier.reach(ids, self._tangent, dt)
-            passes = max(passes, float(np.max(fall / block.barrier.thickness(ids))))
-        return min(math.ceil(passes), LOOKS)
-
-    def _next(
-        self,
-        command: Array,
-        at: Array,
-        rooms: list[Array],
-        watched: list[Watched],
-        braking: tuple[int, int, int],
-        dt: float,
-    ) -> int:
-        """Return the next step of the braking to look at: none before it can use up the room.
-
-        `braking` is the present step, the last, and the most steps that go without a look.
-        """
-        step, last, longest = braking
-        following = last
-        while following - step > longest:
-            self._tangent[:] = 0.0
-            self._tangent[self._dofs] = np.abs(self._way(command, dt, following) - at)
-            if all(
-                (block.barrier.reach(block.near.ids[chosen], self._tangent, 0.0) <= room).all()
-                for (block, chosen), room in zip(watched, rooms, strict=True)
-            ):
+            if not high or high - low < CLOSE or (room_low <= TOLERANCE and low):
                 break
-            following = step + max(longest, (following - step) // 2)
-        return following
+            part = NEARER * room_low / (room_low - room_high)
+            share = low + (high - low) * min(max(part, LEAST_PART), 1.0 - LEAST_PART)
+        return low
 
-    def _rooms(self, way: Array, watched: list[Watched]) -> list[Array]:
-        """Return the distances above what is allowed after a way (n,) of the joints.
+    def _worst(self, path: _Path, watched: list[_Watched]) -> _Look:
+        """Return the first look on a path to rest at which a room is below 0; else any."""
+        every = [np.arange(each.ids.size) for each in watched]
+        end = self._look(path, path.last, watched, every)
+        if end.least < 0.0:
+            return end
+        if self._steady or (self._still and path.last == 1):
+            now = [each.now for each in watched]
+            before = _Look(0, np.zeros_like(end.way), now, now)
+            every = self._doubtful(path, before, end, watched, every)
+            if not any(among.size for among in every):
+                return end
+        parts = self._parts(path, watched, every)
+        for k in range(1, parts):
+            look = self._look(path, k / parts, watched, every)
+            if look.least < 0.0:
+                return look
+        if path.last == 1:
+            return end
+        begin = self._look(path, 1, watched, every)
+        return begin if begin.least < 0.0 else self._halved(path, begin, end, watched, every)
 
-        Those that the way cannot use up are not measured: they are at least what it leaves.
+    def _halved(
+        self, path: _Path, begin: _Look, end: _Look, watched: list[_Watched], among: list[Ids]
+    ) -> _Look:
+        """Return a look between two at which a room is, or may be, below 0; else the last."""
+        ahead, looks = [(begin, end, among)], 0
+        while ahead:
+            before, after, among = ahead.pop()
+            steps = int(after.place - before.place)
+            if steps == 1:
+                continue
+            among = self._doubtful(path, before, after, watched, among)
+            if any(some.size for some in among):
+                between = self._look(path, before.place + steps // 2, watched, among)
+                looks += 1
+                if looks > MOST_LOOKS and between.least >= 0.0:
+                    between.least = -math.inf
+                if between.least < 0.0:
+                    return between
+                ahead += [(between, after, among), (before, between, among)]
+        return end
+
+    def _parts(self, path: _Path, watched: list[_Watched], among: list[Ids]) -> int:
+        """Return into how many parts to cut the step, so that nothing is passed through."""
+        step, passes = self._over_all(np.abs(path.way(1))), 1.0
+        for each, some in zip(watched, among, strict=True):
+            ids = each.ids[some]
+            fall = each.barrier.reach(ids, step, path.dt) / each.barrier.thickness(ids)
+            passes = max(passes, float(fall.max(initial=0.0)))
+        return min(math.ceil(passes), MOST_PARTS)
+
+    def _doubtful(
+        self,
+        path: _Path,
+        before: _Look,
+        after: _Look,
+        watched: list[_Watched],
+        among: list[Ids],
+    ) -> list[Ids]:
+        """Return which entries could fall below what is allowed between two looks.
+
+        In a time T a motion with the acceleration a leaves its chord by no more than a T²/8.
         """
-        self._tangent[:] = 0.0
-        self._tangent[self._dofs] = way
-        self._q[:] = self._start
-        mujoco.mj_integratePos(self._model, self._q, self._tangent, 1.0)
-        self._data.qpos[:] = self._q
+        speed, change = path.motion(before.place)
+        step = self._over_all(np.abs(after.way - before.way))
+        speed, change = self._over_all(speed, 1), self._over_all(change, 2)
+        time = (after.place - before.place) * path.dt
+        found = []
+        for n, (each, some) in enumerate(zip(watched, among, strict=True)):
+            reach, bend = each.falls(some, step, speed, change)
+            known = np.minimum(before.known[n][some], after.known[n][some])
+            free = known >= bend * (time * time / 8.0)
+            free |= before.room[n][some] + after.room[n][some] >= reach
+            found.append(some[~free])
+        return found
+
+    def _look(self, path: _Path, place: float, watched: list[_Watched], among: list[Ids]) -> _Look:
+        """Look at some entries of each barrier, and measure those not known to have room."""
+        way = path.way(place)
+        look = _Look(place, way, [], [])
+        self._place(way)
+        for each, some in zip(watched, among, strict=True):
+            known = np.full(each.ids.size, math.inf)
+            known[some] = each.known(self._data, some)
+            room = known.copy()
+            short = (~(known >= 0.0)).nonzero()[0]
+            if short.size:
+                room[short] = each.measured(self._data, short)
+            least = int(room.argmin())
+            if room[least] < look.least:
+                look.least, look.worst = float(room[least]), (each, least)
+            look.room.append(room)
+            look.known.append(known)
+        return look
+
+    def _place(self, way: Array) -> None:
+        """Run the kinematics after a way (n,) of the joints."""
+        qpos = self._data.qpos
+        qpos[:] = self._start
+        mujoco.mj_integratePos(self._model, qpos, self._over_all(way), 1.0)
         mujoco.mj_kinematics(self._model, self._data)
-        np.abs(self._tangent, out=self._tangent)
-        rooms = []
-        for block, chosen in watched:
-            ids, distance = block.near.ids[chosen], block.near.distance[chosen]
-            room = distance - block.barrier.reach(ids, self._tangent, self._seconds)
-            reached = room < 0.0
-            if reached.any():
-                floor = np.minimum(distance[reached], -TOLERANCE)
-                room[reached] = block.barrier.distances(self._data, ids[reached]) - floor
-            rooms.append(room)
-        return rooms
 
     def _move_obstacles(self, data: mujoco.MjData, twist: Array, dt: float) -> None:
         """Put the mocap bodies where they will be at the end of the step."""

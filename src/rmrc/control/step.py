@@ -48,13 +48,13 @@ ADVICE = {
     Status.LIMITED: "Solved; at least one joint is at a limit, so the task may lag behind.",
     Status.SCALED: "A direction-preserving task runs slower than asked, to stay inside the limits.",
     Status.DAMPED: "The damping is above its floor: near a singularity, or far from the target.",
-    Status.RECOVERING: "A joint is outside its range and is moving back inside.",
+    Status.RECOVERING: "A joint or a distance is outside its limit and is moving back inside.",
     Status.RELAXED: "A collision or equality row could not hold and was given slack.",
     Status.STUCK: "The error is above tolerance and no progress is possible inside the limits.",
     Status.MAX_ITER: "The solver gave no certified optimum; v is a feasible point or braking.",
     Status.DEADLINE: "The solver ran out of its time budget; v is a feasible point.",
     Status.STALE: "The target or the measurement is older than its timeout; the robot is braking.",
-    Status.INVALID_INPUT: "An input was not valid: a bad target is ignored, a bad q or dt brakes.",
+    Status.INVALID_INPUT: "An input was not valid: a bad target is ignored, all else brakes.",
 }
 
 
@@ -92,6 +92,7 @@ class Moment:
         "a_previous",
         "dt",
         "engine",
+        "error",
         "q",
         "share",
         "v_previous",
@@ -110,6 +111,7 @@ class Moment:
         self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
         self.share = engine.share
         self._kept = engine.evaluation.keep() if kept is None else kept
+        self.error = self._kept.error
         self._rows = engine.rows.kept() if engine.rows.count else None
 
     @contextmanager
@@ -145,11 +147,6 @@ class Source(Protocol):
         ...
 
     @property
-    def error(self) -> Errors:
-        """See `Step.error`."""
-        ...
-
-    @property
     def solution(self) -> Solution:
         """See `Step.solution`."""
         ...
@@ -165,7 +162,6 @@ class Made(NamedTuple):
 
     v: Array
     q: Array
-    error: Errors
     solution: Solution
     moment: Moment
 
@@ -191,11 +187,6 @@ class Step:
         return self._source.q
 
     @property
-    def error(self) -> Errors:
-        """True errors of the tasks before the step, by name."""
-        return self._source.error
-
-    @property
     def solution(self) -> Solution:
         """What the solver returned, with its certificate."""
         return self._source.solution
@@ -210,6 +201,11 @@ class Step:
         from rmrc.control.explain import explain  # which needs this module
 
         return explain(self)
+
+    @property
+    def error(self) -> Errors:
+        """True errors of the tasks before the step, by name."""
+        return Errors(self.moment.engine.evaluation, self.moment.error)
 
     @property
     def status(self) -> Status:

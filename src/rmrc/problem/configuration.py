@@ -50,6 +50,18 @@ def free_dofs(model: mujoco.MjModel) -> NDArray[np.intp]:
     return np.concatenate([joint_dofs(model, j) for j in free] or [np.zeros(0, dtype=np.intp)])
 
 
+def turning_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which dofs turn, not shift (nv,)."""
+    turning = np.ones(model.nv, dtype=np.bool_)
+    for joint in range(model.njnt):
+        kind, first = joint_type(model, joint), int(model.jnt_dofadr[joint])
+        if kind == mujoco.mjtJoint.mjJNT_SLIDE:
+            turning[first] = False
+        elif kind == mujoco.mjtJoint.mjJNT_FREE:
+            turning[first : first + 3] = False
+    return turning
+
+
 def resolve_configuration(
     model: mujoco.MjModel,
     value: str | Sequence[float] | Mapping[str, float] | None,

@@ -15,8 +15,9 @@ Array = NDArray[np.float64]
 
 
 class Kept(NamedTuple):
-    """What a step depends on beside q and v_prev, as it was."""
+    """The error of a step, and what it depended on beside q and v_prev."""
 
+    error: Array
     targets: Array
     moving: tuple[bytes, Array] | None
     """Which targets move and the twists; None where none does."""
@@ -80,10 +81,6 @@ class Evaluation:
         """Return the rows of e that a run of neighbouring terms fills."""
         return slice(self._slices[terms[0].name].start, self._slices[terms[-1].name].stop)
 
-    def slice_of(self, name: str) -> slice:
-        """Return the rows of one task."""
-        return self._slices[name]
-
     def error_of(self, error: Array, term: Term) -> Array:
         """Return one term's part of an error vector."""
         return error[self._slices[term.name]]
@@ -104,10 +101,10 @@ class Evaluation:
         return data.mocap_pos.copy(), data.mocap_quat.copy(), self.obstacle_twist.copy()
 
     def keep(self) -> Kept:
-        """Return copies of the targets and of the mocap bodies as they are."""
+        """Return copies of the error, the targets and the mocap bodies as they are."""
         moving = (bytes(self.moving), self.twists.copy()) if 1 in self.moving else None
         obstacles = self.obstacles() if self.model.nmocap else None
-        return Kept(self.targets.copy(), moving, obstacles)
+        return Kept(self.error.copy(), self.targets.copy(), moving, obstacles)
 
     def restore(self, kept: Kept) -> None:
         """Put the targets and the mocap bodies where they were."""

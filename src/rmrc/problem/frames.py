@@ -44,9 +44,9 @@ _POSES = {
 def names(model: mujoco.MjModel, kind: str) -> list[str]:
     """Return the names that the model has of one kind, unnamed things left out.
 
-    A `mocap` is a body that is moved from outside.
+    A `mocap body` is one that is moved from outside.
     """
-    if kind == "mocap":
+    if kind == "mocap body":
         bodies = np.flatnonzero(model.body_mocapid >= 0)
         return [name for body in bodies.tolist() if (name := model.body(body).name)]
     count = getattr(model, _COUNTS[kind])

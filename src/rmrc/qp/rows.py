@@ -51,9 +51,14 @@ class Rows:
             limit.build(model, evaluation.obstacle_twist) for limit in problem.barriers
         ]
         self._speeds = [
-            (SpeedRows(limit, evaluation.data, model.nv), evaluation.slice_of(limit.task))
+            (
+                SpeedRows(limit, evaluation.data, model.nv),
+                evaluation.rows_of([problem.term[limit.task]]),
+            )
             for limit in problem.speeds
         ]
+        self.speed_count = sum(speed.count for speed, _ in self._speeds)
+        """How many of the first rows are of speeds, three for each vector."""
         self.any = bool(self.barriers or self._speeds or problem.mink_limits)
         """Whether there can be any."""
         self.count = 0

@@ -66,7 +66,8 @@ function mark(y, text, colour, theme, log) {
 
 function lines(panel, theme) {
   const shown = panel.traces.filter((trace) => !panel.hidden.has(trace.name));
-  const marks = panel.marks.map(({ y, text }) =>
+  // 0 is nowhere on a logarithmic axis.
+  const marks = panel.marks.filter(({ y }) => !panel.log || y > 0).map(({ y, text }) =>
     mark(y, plain(text), theme.quiet, theme, panel.log));
   return {
     traces: shown.map((trace) => ({
@@ -78,7 +79,7 @@ function lines(panel, theme) {
     layout: {
       height: 230, hovermode: "x unified",
       yaxis: {
-        ...(panel.log ? logarithmic(shown) : { type: "linear", rangemode: "tozero" }),
+        ...(panel.log ? logarithmic(shown) : { type: "linear", range: extent(0, ...shown.map(({ y }) => y)) }),
         exponentformat: "power",
       },
       shapes: marks.map((each) => each.shape), annotations: marks.map((each) => each.annotation),

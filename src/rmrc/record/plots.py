@@ -27,14 +27,14 @@ STATUS_COLOURS = {
     "OK": "#4c9f70",
     "LIMITED": "#5b8def",
     "SCALED": "#38a3a5",
-    "DAMPED": "#8f7ee7",
+    "DAMPED": "#a06fd0",
     "RECOVERING": "#d9b13b",
     "RELAXED": "#e08e45",
-    "STUCK": "#b5763a",
-    "MAX_ITER": "#e2703a",
-    "DEADLINE": "#d1495b",
-    "STALE": "#b23a6b",
-    "INVALID_INPUT": "#8b1e3f",
+    "STUCK": "#8d5a2b",
+    "MAX_ITER": "#dd4b39",
+    "DEADLINE": "#d6408b",
+    "STALE": "#5c6670",
+    "INVALID_INPUT": "#7a1030",
 }
 SINGULAR_VALUE = "Smallest singular value σ_min"
 _BOUND_COLOURS = {"lower bound": "#38a3a5", "upper bound": "#e08e45"}
@@ -182,17 +182,23 @@ def _error_panels(run: "Run") -> list[Panel | None]:
 
 def _margin_panels(run: "Run") -> list[Panel | None]:
     """Return one panel for each kind of limit on distances and speeds."""
-    return [
-        line_panel(
-            run.time,
-            f"Room to the {kind} limit",
-            "",
-            {"room": np.where(np.isfinite(room), room, np.nan)},
-            [mark("limit", 0.0, "")],
-            log=False,
-        )
-        for kind, room in run.margin.items()
-    ]
+    drawn = []
+    for kind, room in run.margin.items():
+        unit = _margin_unit(kind, run.manifest["config"])
+        curves = {"room": np.where(np.isfinite(room), room, np.nan)}
+        marks = [mark("limit", 0.0, unit)]
+        title = f"Room to the {kind} limit"
+        drawn.append(line_panel(run.time, title, unit, curves, marks, log=False))
+    return drawn
+
+
+def _margin_unit(kind: str, config: Mapping[str, Any]) -> str:
+    """Return the unit of a kind of limit; frames may be limited in two."""
+    if kind != "speed":
+        return "rad" if kind == "position" else "m"
+    limits = config["limits"]["speed"].values()
+    units = {"linear": "m/s", "angular": "rad/s"}
+    return " or ".join(units[part] for part in units if any(limit[part] for limit in limits))
 
 
 def _joint_panel(

@@ -23,7 +23,7 @@ def write_report(run: "Run", path: str | Path) -> None:
         run.manifest,
         badge=_badge(run.manifest),
         facts=_facts(run),
-        cards=(make(run.summary) for make in (_tasks, _limits, _statuses, _times)),
+        cards=(make(run) for make in (_tasks, _limits, _statuses, _times)),
         notices=run.manifest.get("notices", ()),
         data=panels(run),
     )
@@ -47,9 +47,9 @@ def _facts(run: "Run") -> list[str]:
     ]
 
 
-def _tasks(summary: dict[str, Any]) -> str:
+def _tasks(run: "Run") -> str:
     rows = []
-    for name, task in summary["tasks"].items():
+    for name, task in run.summary["tasks"].items():
         for part, note in ((task, ""), (task.get("orientation"), "orientation")):
             if part is not None:
                 numbers = (quantity(part[key], part["unit"]) for key in ("final", "rms", "max"))
@@ -57,26 +57,27 @@ def _tasks(summary: dict[str, Any]) -> str:
     return card("Task errors", ("task", "at the end", "rms", "largest"), rows)
 
 
-def _limits(summary: dict[str, Any]) -> str:
-    rows = []
-    for kind, limit in summary["limits"].items():
+def _limits(run: "Run") -> str:
+    rows, wanted = [], run.manifest["config"].get("limits", {})
+    for kind, limit in run.summary["limits"].items():
         excess = limit["max_violation"]
-        passed = quantity(excess, limit["unit"]) if excess else "none"
+        none = "off" if wanted.get(kind) in ("off", [], {}) else "none"
+        passed = quantity(excess, limit["unit"]) if excess else none
         rows.append([cell(kind, limit["joint"] or ""), cell(passed, bad=bool(excess))])
     return card("Limits", ("limit", "violation"), rows)
 
 
-def _statuses(summary: dict[str, Any]) -> str:
+def _statuses(run: "Run") -> str:
     rows = []
-    for name, number in summary["status"].items():
+    for name, number in run.summary["status"].items():
         swatch = f'<i class="swatch" style="background:{status_colour(name)}"></i>'
-        share = f"{number / summary['steps']:.1%}"
+        share = f"{number / run.summary['steps']:.1%}"
         rows.append([f"<td>{swatch}{escape(name)}</td>", cell(str(number), share)])
     return card("Statuses", ("status", "steps"), rows)
 
 
-def _times(summary: dict[str, Any]) -> str:
-    times, factor = summary["step_time_us"], summary["real_time_factor"]
+def _times(run: "Run") -> str:
+    times, factor = run.summary["step_time_us"], run.summary["real_time_factor"]
     rows = []
     for key, title in (("median", "median"), ("p99", "99 %"), ("max", "largest")):
         seconds = None if times[key] is None else times[key] * 1e-6

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.qp.rows import PASSED
 from rmrc.record.channels import Channel, positions, rates
 
 Array = NDArray[np.float64]
 
 # Less than this outside a limit (rad, m, and their rates) is rounding, not a violation.
 ROUNDING = 1e-9
-# Distances between geoms are measured no finer than this, m.
-MEASURED = 1e-6
 
 
 def summarize(
@@ -54,8 +53,6 @@ def summarize(
         least: The least room of each kind of limit on distances and speeds, its unit, and what it
             is of.
     """
-    acceleration = np.diff(v, axis=0, prepend=np.zeros((1, v.shape[1]))) / dt
-    jerk = np.diff(acceleration, axis=0, prepend=np.zeros((1, v.shape[1]))) / dt
     converged = len(q) > 0 and all(
         bool(error[name][-1, column] <= tolerance[tasks[name]["units"][column]])
         for name, columns in converging.items()
@@ -69,13 +66,7 @@ def summarize(
         "backend": backend,
         "method": method,
         "tasks": {name: _task(error[name], task["units"]) for name, task in tasks.items()},
-        "limits": {
-            "position": _violation(positions(model, q)),
-            "velocity": _violation(rates(model, v, "velocity")),
-            "acceleration": _violation(rates(model, acceleration, "acceleration")),
-            "jerk": _violation(rates(model, jerk, "jerk"), ROUNDING / dt),
-            **{kind: _passed(least.get(kind)) for kind in ("collision", "workspace", "speed")},
-        },
+        "limits": _limits(dt, q, v, model, least),
         "status": {
             name: int(number) for name, number in zip(statuses, counts, strict=True) if number
         },
@@ -101,6 +92,26 @@ def _column(values: Array, unit: str) -> dict[str, Any]:
     }
 
 
+def _limits(
+    dt: float,
+    q: Array,
+    v: Array,
+    model: dict[str, Any],
+    least: Mapping[str, tuple[float, str, str]],
+) -> dict[str, Any]:
+    """Return how far each kind of limit was passed."""
+    rest = np.zeros((1, v.shape[1]))
+    acceleration = np.diff(v, axis=0, prepend=rest) / dt
+    jerk = np.diff(acceleration, axis=0, prepend=rest) / dt
+    return {
+        "position": _violation(positions(model, q)),
+        "velocity": _violation(rates(model, v, "velocity")),
+        "acceleration": _violation(rates(model, acceleration, "acceleration")),
+        "jerk": _violation(rates(model, jerk, "jerk"), ROUNDING / dt),
+        **{kind: _passed(least.get(kind)) for kind in ("collision", "workspace", "speed")},
+    }
+
+
 def _violation(channels: Sequence[Channel], rounding: float = ROUNDING) -> dict[str, Any]:
     """Return the largest excess over the limits, and the joint that it is of.
 
@@ -116,7 +127,7 @@ def _violation(channels: Sequence[Channel], rounding: float = ROUNDING) -> dict[
 
 def _passed(least: tuple[float, str, str] | None) -> dict[str, Any]:
     """Return how far a limit is passed where the room is least, and what it is of."""
-    if least is None or least[0] >= -(MEASURED if least[1] == "m" else ROUNDING):
+    if least is None or least[0] >= -(PASSED if least[1] == "m" else ROUNDING):
         return {"max_violation": 0.0, "joint": None, "unit": None}
     room, unit, name = least
     return {"max_violation": -room, "joint": name, "unit": unit}

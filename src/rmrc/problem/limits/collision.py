@@ -12,6 +12,7 @@ from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
 from rmrc.problem.limits.extents import extents, half_thickness, levers
 from rmrc.problem.limits.pairs import pair_name, resolve_pairs
+from rmrc.problem.limits.separation import Separation, Turning
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
@@ -24,6 +25,9 @@ SPARE = 0.05
 """Room in m that the bounding spheres must leave for the distance not to be measured."""
 TOUCHING = 1e-9
 """Distance in m of the nearest points up to which they give no direction."""
+BLURRED = 1e-3
+"""Distance in m up to which the solver's tolerance turns a plane between two geoms too far, and by
+how much the plane may be off beyond that."""
 
 
 def collision_pairs(
@@ -93,6 +97,13 @@ class Collision(Barrier):
         self._levers, self._longest = first + second, (first + second).max(axis=0)
         # The dofs that move a pair by moving b, 1, or by moving a, −1.
         self._side = (np.sign(second) - np.sign(first))[:, : model.nv]
+        self._turning = Turning(model, spec.geoms)
+        carries = self._side * self._turning.sign < 0.0  # the dofs that move the plane
+        # The levers of a chain grow towards its root, but not across the root to another chain.
+        moves = (self._levers[:, : model.nv] > 0.0) * (1.0 + carries.any(axis=1, keepdims=True))
+        self._carries, self._moves = carries.astype(float), moves
+        ball = {g: half_thickness(model, g) for g in np.unique(spec.geoms).tolist()}
+        self._thickness = self._d_min + np.array([min(ball[a], ball[b]) for a, b in spec.geoms])
         self._dof_root = model.body_rootid[model.dof_bodyid]
         self._movement = _Movement(model, spec.geoms)
 
@@ -174,9 +185,24 @@ class Collision(Barrier):
 
         It is `d_min` and the radius of a ball that fits into the thinner one.
         """
-        pairs = self._geoms[ids].tolist()
-        ball = {g: half_thickness(self._model, g) for pair in pairs for g in pair}
-        return np.array([min(ball[a], ball[b]) for a, b in pairs]) + self._d_min
+        return self._thickness[ids]
+
+    def planes(self, data: mujoco.MjData, ids: Ids) -> Separation:
+        """Return planes between some active pairs (k,), as they were last given by `near`."""
+        distance = self._distance[ids]
+        known = np.where(distance > BLURRED, distance - BLURRED - self._d_min, -np.inf)
+        return Separation(data, self._turning, ids, known, self._normals[ids])
+
+    def motion(self, ids: Ids, reach: Array) -> tuple[Array, Array, Array]:
+        """Return what bounds motions that take active pairs no further apart than by `reach` (k,).
+
+        These are the levers l of the dofs on their distances, the levers L on the points of the one
+        geom in the axes of the other, which carries the plane between them, and factors m, all
+        (k, nv): such a point is accelerated by at most Σ L |q̈| + (Σ L |q̇|) (Σ m |q̇|).
+        """
+        levers = self._levers[ids, : self._model.nv]
+        across = self._distance[ids] + reach + self._turning.width[ids]
+        return levers, levers + self._carries[ids] * across[:, None], self._moves[ids]
 
     def name(self, identity: int) -> str:
         """Return the names of the two geoms."""
@@ -203,9 +229,12 @@ class Collision(Barrier):
         """Return the pair, of those that are not active, with the least distance or bound of it."""
         while True:
             pair = int(self._bound.argmin())
-            if pair in self._measured or self._bound[pair] > self._detect:
+            if self._bound[pair] > self._detect:
                 return pair
-            self._bound[pair] = self._measure(data, pair)
+            distance = self._measure(data, pair)
+            if self._bound[pair] == distance:
+                return pair
+            self._bound[pair] = distance
 
     def _extend(self, travel: Array, dt: float) -> None:
         """Join the travel of the dofs with that of the mocap bodies."""

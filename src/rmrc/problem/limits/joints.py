@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rmrc.config.limits import BaseLimit, LimitsModel, Off, PerJoint
 from rmrc.config.mistakes import Mistake
 from rmrc.errors import ModelError
+from rmrc.problem.actuators import servos
 from rmrc.problem.configuration import free_dofs, joint_dofs, joint_type
 from rmrc.problem.frames import find, names
 from rmrc.problem.limits.box import RANGE_ROUNDING, Box
@@ -26,8 +27,6 @@ SLIDE_SPEED = 1.0
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _BALL = mujoco.mjtJoint.mjJNT_BALL
 _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
-_ON_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-_DIRECT = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
 def compile_box(
@@ -275,14 +274,9 @@ def _controlled(model: mujoco.MjModel, order: int) -> list[int]:
     """
     return [
         actuator
-        for actuator in range(model.nu)
-        if mujoco.mjtTrn(int(model.actuator_trntype[actuator])) in _ON_JOINT
-        and joint_type(model, int(model.actuator_trnid[actuator, 0])) not in (_FREE, _BALL)
-        and model.actuator_ctrllimited[actuator]
+        for actuator in servos(model)
+        if model.actuator_ctrllimited[actuator]
         and model.actuator_gear[actuator, 0]
-        and mujoco.mjtDyn(int(model.actuator_dyntype[actuator])) in _DIRECT
-        and mujoco.mjtGain(int(model.actuator_gaintype[actuator])) == mujoco.mjtGain.mjGAIN_FIXED
-        and mujoco.mjtBias(int(model.actuator_biastype[actuator])) == mujoco.mjtBias.mjBIAS_AFFINE
         and model.actuator_gainprm[actuator, 0] == -model.actuator_biasprm[actuator, order] > 0.0
         and not model.actuator_biasprm[actuator, :order].any()
     ]

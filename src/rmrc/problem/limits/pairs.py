@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rmrc.config.limits import CollisionLimit
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import OBJECTS, names
+from rmrc.problem.limits.always_near import always_near
 from rmrc.problem.limits.extents import dofs_of_bodies
 from rmrc.problem.tasks.base import FieldError
 
@@ -19,6 +20,8 @@ _T = mujoco.mjtGeom
 _UNMEASURED = (_T.mjGEOM_HFIELD, _T.mjGEOM_SDF)
 _DISABLE = mujoco.mjtDisableBit
 
+MESHES_RIGHT = 4
+"""Major version of MuJoCo from which on distances of meshes are right (its issue 3383)."""
 SHOWN = 4
 """Pairs that a notice names."""
 
@@ -32,7 +35,8 @@ def resolve_pairs(
     scene excludes or `contype` and `conaffinity` filter out, but its `<pair>`s in any case. Of the
     pairs that are named, those of `groups` are filtered by parent and exclusion too; those of
     geoms and bodies are all meant. The geoms of a body are those that collide with anything, where
-    there are any. What no joint moves relative to each other is never a pair.
+    there are any. What no joint moves relative to each other is never a pair, nor is what is nearer
+    than `d_min` wherever the joints are: it could only hold the robot back.
 
     Returns:
         Pairs (p, 2), the geom of the lower type first, as MuJoCo orders them; the notices.
@@ -100,12 +104,28 @@ class _Resolver:
                 "geoms of the named bodies that collide with nothing",
                 [geom_name(self._model, g) for g in sorted(self._silent)],
             )
-        if not wanted.any():
-            raise FieldError("pairs", "there is no pair left to keep apart; " + self._reasons())
         pairs = np.argwhere(np.triu(wanted))
         swapped = np.diff(self._model.geom_type[pairs], axis=1)[:, 0] < 0
         pairs[swapped] = pairs[swapped, ::-1]
-        return pairs, [f"pairs of geoms that collision keeps apart: {len(pairs)}", *self._notices]
+        pairs = self._separable(pairs)
+        if not len(pairs):
+            raise FieldError("pairs", "there is no pair left to keep apart; " + self._reasons())
+        kept = [f"pairs of geoms that collision keeps apart: {len(pairs)}"]
+        meshes = (self._model.geom_type[pairs] == _T.mjGEOM_MESH).any()
+        if meshes and int(mujoco.__version__.split(".")[0]) < MESHES_RIGHT:
+            kept.append(
+                f"MuJoCo {mujoco.__version__} may take meshes that are apart for touching: "
+                f"take {MESHES_RIGHT}.0 or later"
+            )
+        return pairs, [*kept, *self._notices]
+
+    def _separable(self, pairs: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the pairs that can keep their distance."""
+        near = always_near(self._model, pairs, self._limit.d_min)
+        if near.any():
+            shown = [pair_name(self._model, a, b) for a, b in pairs[near].tolist()]
+            self._leave_out("pairs that are nearer than d_min wherever the joints are", shown)
+        return pairs[~near]
 
     def _reasons(self) -> str:
         return "; ".join(self._notices) or "no joint moves two geoms that may collide"

@@ -1,5 +1,6 @@
 """The `frame` task: the pose of a site, body or geom follows a target pose."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,6 +38,10 @@ def _block_weight(weight: object) -> object:
 BlockWeight = Annotated[Weight, AfterValidator(_block_weight)]
 
 
+FARTHEST = 100.0
+"""Distance in m from which on a target counts as being there in the Jacobian of the error."""
+
+
 class PoseWeight(Model):
     """Weights of the two halves of a pose error."""
 
@@ -50,7 +55,8 @@ class PoseClamp(Model):
     """Largest error that a pose task acts on; what is beyond is approached at constant speed."""
 
     position: Positive | None = None
-    """m."""
+    """m; of a `frame` task by default the length of the robot with acceleration limits, and twice
+    that without, unless it has a floating base."""
     orientation: Positive | None = None
     """rad."""
 
@@ -215,7 +221,8 @@ class _FrameEvaluator:
                 self._in_world.append((*shared, self._transform[k, 3:, 3:]))
             else:
                 halves = self._transform[k].reshape(12, 3)
-                self._body.append((*shared, matrix.reshape(3, 3).T, halves))
+                far = min(term.clamp[0], FARTHEST)
+                self._body.append((*shared, matrix.reshape(3, 3).T, halves, far))
         self._feeds = [
             (
                 k,
@@ -230,12 +237,15 @@ class _FrameEvaluator:
 
     def __call__(self) -> None:
         model, data = self._model, self._data
-        for jac, i, jp, jr, matrix, position, target, error, turned, halves in self._body:
+        for jac, i, jp, jr, matrix, position, target, error, turned, halves, far in self._body:
             jac(model, data, jp, jr, i)
             pose = pose_of(matrix, position)
             error[:] = rminus(target, pose)
+            apart = inverse_multiply(target, pose)
+            if error.dot(error) > far * far:
+                apart = _nearer(apart, far)
             # Jlog diag(Rᵀ, Rᵀ): each half of a row of Jlog is turned by Rᵀ.
-            jlog(inverse_multiply(target, pose)).reshape(12, 3).dot(turned, halves)
+            jlog(apart).reshape(12, 3).dot(turned, halves)
         for jac, i, jp, jr, matrix, position, target, error, angular in self._in_world:
             jac(model, data, jp, jr, i)
             _world_error(target, pose_of(matrix, position), error, angular)
@@ -262,6 +272,20 @@ class _FrameEvaluator:
                 rigid = twist.copy()
                 rigid[:3] += np.cross(twist[3:], position - target[4:])
                 self._feedforward[k] = self._transform[k] @ rigid
+
+
+def _nearer(apart: Array, far: float) -> Array:
+    """Return a pose (7,) with its position no further away than `far`.
+
+    The Jacobian of the logarithm grows with the distance: that of a target which the error is
+    clamped to is the one to take.
+    """
+    length = math.sqrt(float(apart[4:] @ apart[4:]))
+    if length <= far:
+        return apart
+    nearer = np.array(apart)
+    nearer[4:] *= far / length
+    return nearer
 
 
 def _world_error(target: Array, pose: Array, error: Array, angular: Array) -> None:
