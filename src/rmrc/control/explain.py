@@ -207,6 +207,5 @@ def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:
 def _halves(term: Term) -> Sequence[slice]:
     """Return the rows of each of a task's units."""
     if term.rows == 6 and not term.joint:
-        diagonal = term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
-        return [half for half in (slice(3), slice(3, 6)) if diagonal[half].any()]
+        return [half for half in (slice(3), slice(3, 6)) if term.diagonal[half].any()]
     return [slice(None)]
