@@ -157,7 +157,7 @@ def _boxes_without(problem: Problem, moment: Moment) -> dict[str, BoxLimit]:
     infinite = np.full(dofs.size, math.inf)
     for kind, gone in (
         ("position", {"lower": -infinite, "upper": infinite}),
-        ("velocity", {"velocity": infinite}),
+        ("velocity", {"velocity": infinite, "step": math.inf}),
         ("acceleration", {"acceleration": infinite}),
     ):
         box = replace(box, **gone)
