@@ -42,9 +42,9 @@ class BoxLimit:
     Position asks for g(q_min − q)/dt ≤ v ≤ g(q_max − q)/dt and, with an acceleration limit a, that
     the joint can still stop: v ≤ −a dt + √(a²dt² + 2a(q_max − q)), mirrored below. The jerk limit
     gives the first interval (see `JerkLimit`), and position, velocity and acceleration, in this
-    order, each clip both its ends into their own; velocity to no more than `step`/dt. Clipping keeps
-    the order of the ends, so that lb ≤ ub whatever the limits say to each other, and the last of
-    them wins.
+    order, each clip both its ends into their own; velocity to no more than `step`/dt. Clipping
+    keeps the order of the ends, so that lb ≤ ub whatever the limits say to each other, and the last
+    of them wins.
 
     A joint with v²/2a ≤ q_max − q stays in its range, whatever the lengths of the steps: a v with
     v dt + v²/2a ≤ q_max − q leaves that true after the step, and v_prev − a dt, or rest where it
