@@ -38,3 +38,10 @@ def test_no_step_breaks_a_promise(scene: Scene, tmp_path: Path) -> None:
     assert figures.steps == CONFIGURATIONS * EACH
     assert figures.braking > 0
     assert len(figures.statuses) > 3
+
+
+def test_a_brake_that_passes_a_distance_on_its_way_says_so(tmp_path: Path) -> None:
+    # The jerk limit makes it slow, and where it ends it is back where it may be, but for rounding.
+    panda = next(scene for scene in HERE if scene.name == "panda")
+    for _ in Episode(panda, 356, tmp_path).run(725, Figures()):
+        pass

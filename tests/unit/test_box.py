@@ -21,7 +21,14 @@ SLOWER = 1.1
 
 
 def limits(
-    lower=-1.0, upper=1.0, gain=1.0, velocity=np.inf, acceleration=np.inf, jerk=np.inf, joints=1
+    lower=-1.0,
+    upper=1.0,
+    gain=1.0,
+    velocity=np.inf,
+    acceleration=np.inf,
+    jerk=np.inf,
+    step=np.inf,
+    joints=1,
 ) -> BoxLimit:
     every = np.ones(joints)
     return BoxLimit(
@@ -33,6 +40,7 @@ def limits(
             velocity=velocity * every,
             acceleration=acceleration * every,
             jerk=jerk * every,
+            step=step,
         )
     )
 
@@ -89,6 +97,13 @@ def test_the_position_limit_is_reached_from_outside_without_overshoot() -> None:
 
 def test_a_joint_without_any_limit_is_free() -> None:
     assert bounds(limits(-np.inf, np.inf), q=5.0, v=0.0, dt=0.1) == (-np.inf, np.inf)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.1, 10.0])
+def test_no_joint_moves_further_in_a_step_than_it_may(dt: float) -> None:
+    low, high = bounds(limits(-np.inf, np.inf, velocity=2.0, step=0.5), q=0.0, v=0.0, dt=dt)
+    assert high == min(2.0, 0.5 / dt)
+    assert low == -high
 
 
 def test_limits_of_some_joints_leave_the_others_as_they_are() -> None:

@@ -157,7 +157,7 @@ def _boxes_without(problem: Problem, moment: Moment) -> dict[str, BoxLimit]:
     infinite = np.full(dofs.size, math.inf)
     for kind, gone in (
         ("position", {"lower": -infinite, "upper": infinite}),
-        ("velocity", {"velocity": infinite}),
+        ("velocity", {"velocity": infinite, "step": math.inf}),
         ("acceleration", {"acceleration": infinite}),
     ):
         box = replace(box, **gone)
@@ -207,6 +207,5 @@ def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:
 def _halves(term: Term) -> Sequence[slice]:
     """Return the rows of each of a task's units."""
     if term.rows == 6 and not term.joint:
-        diagonal = term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
-        return [half for half in (slice(3), slice(3, 6)) if diagonal[half].any()]
+        return [half for half in (slice(3), slice(3, 6)) if term.diagonal[half].any()]
     return [slice(None)]

@@ -43,7 +43,7 @@ class Progress:
         ]
         parts = [np.arange(part.start, part.stop) for _, part, _ in self._terms]
         self._rows = _run(np.concatenate([*parts, np.zeros(0, np.intp)]).astype(np.intp))
-        weights = [_diagonal(term) for term, _, _ in self._terms]
+        weights = [term.diagonal for term, _, _ in self._terms]
         self._weight = np.concatenate([*weights, np.zeros(0)])
         tolerances = [_row_tolerances(term, limit) for term, _, _ in self._terms]
         self.tolerance = math.sqrt(
@@ -124,10 +124,6 @@ def _run(indices: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     if indices.size and (np.diff(indices) == 1).all():
         return slice(int(indices[0]), int(indices[-1]) + 1)
     return indices
-
-
-def _diagonal(term: Term) -> Array:
-    return term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
 
 
 def _row_tolerances(term: Term, limit: dict[str, float]) -> Array:

@@ -186,7 +186,7 @@ class Shortening:
             if look.least >= 0.0:
                 return high, False
         # What the step before has left may be used up by rounding.
-        return 0.0, self._worst(rest, watched).least < -TOLERANCE
+        return 0.0, self._worst(rest, watched, -TOLERANCE).least < -TOLERANCE
 
     def _watched(
         self, data: mujoco.MjData, paths: list[_Path], blocks: list[Block]
@@ -234,11 +234,11 @@ class Shortening:
             share = low + (high - low) * min(max(part, LEAST_PART), 1.0 - LEAST_PART)
         return low
 
-    def _worst(self, path: _Path, watched: list[_Watched]) -> _Look:
-        """Return the first look on a path to rest at which a room is below 0; else any."""
+    def _worst(self, path: _Path, watched: list[_Watched], least: float = 0.0) -> _Look:
+        """Return the first look on a path to rest at which a room is below `least`; else any."""
         every = [np.arange(each.ids.size) for each in watched]
         end = self._look(path, path.last, watched, every)
-        if end.least < 0.0:
+        if end.least < least:
             return end
         if self._steady or (self._still and path.last == 1):
             now = [each.now for each in watched]
@@ -249,18 +249,25 @@ class Shortening:
         parts = self._parts(path, watched, every)
         for k in range(1, parts):
             look = self._look(path, k / parts, watched, every)
-            if look.least < 0.0:
+            if look.least < least:
                 return look
         if path.last == 1:
             return end
         begin = self._look(path, 1, watched, every)
-        return begin if begin.least < 0.0 else self._halved(path, begin, end, watched, every)
+        if begin.least < least:
+            return begin
+        return self._halved(path, (begin, end), watched, every, least)
 
     def _halved(
-        self, path: _Path, begin: _Look, end: _Look, watched: list[_Watched], among: list[Ids]
+        self,
+        path: _Path,
+        ends: tuple[_Look, _Look],
+        watched: list[_Watched],
+        among: list[Ids],
+        least: float,
     ) -> _Look:
-        """Return a look between two at which a room is, or may be, below 0; else the last."""
-        ahead, looks = [(begin, end, among)], 0
+        """Return a look between two at which a room is, or may be, below `least`; else the last."""
+        ahead, looks = [(*ends, among)], 0
         while ahead:
             before, after, among = ahead.pop()
             steps = int(after.place - before.place)
@@ -270,12 +277,12 @@ class Shortening:
             if any(some.size for some in among):
                 between = self._look(path, before.place + steps // 2, watched, among)
                 looks += 1
-                if looks > MOST_LOOKS and between.least >= 0.0:
+                if looks > MOST_LOOKS and between.least >= least:
                     between.least = -math.inf
-                if between.least < 0.0:
+                if between.least < least:
                     return between
                 ahead += [(between, after, among), (before, between, among)]
-        return end
+        return ends[1]
 
     def _parts(self, path: _Path, watched: list[_Watched], among: list[Ids]) -> int:
         """Return into how many parts to cut the step, so that nothing is passed through."""

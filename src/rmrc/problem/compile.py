@@ -40,6 +40,9 @@ Result = TypeVar("Result")
 
 MOST_STEPS = 10_000_000
 """Steps of a run, whose arrays are allocated at its start."""
+LONGEST_STEP = 10.0
+"""Most that a joint moves in a step beside distances that are kept, rad or m: what a longer one
+could come to is not looked at."""
 
 
 def compile(
@@ -120,7 +123,7 @@ class _Compiler:
             damping=config.damping.lambda_,
             soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
             strict=strict,
-            box=select(box, dofs),
+            box=replace(select(box, dofs), step=LONGEST_STEP if barriers else math.inf),
             notices=(
                 *notices,
                 *_damping_notices(config, bool(metric.any() or inertia)),

@@ -103,8 +103,7 @@ class Assembly:
         for term in self._evaluation.terms:
             if term.hard:
                 continue
-            diagonal = term.weight if term.weight.ndim == 1 else np.diagonal(term.weight)
-            weights.append(diagonal.max() * problem.soft_ratio**term.level)
+            weights.append(term.diagonal.max() * problem.soft_ratio**term.level)
         largest = float(max(weights))
         return 1.0 / largest if largest > 0.0 else 1.0
 
@@ -262,8 +261,7 @@ class Assembly:
             rows.append(self._weighted[part][:, self._dofs])
             rates.append(-self._unwanted[part])
             if term.preserve:
-                weight = term.weight
-                weighed = (weight if weight.ndim == 1 else np.diagonal(weight)) > 0.0
+                weighed = term.diagonal > 0.0
                 jacobian = self._evaluation.jacobian[part][weighed]
                 directions.append((jacobian[:, self._dofs], self.rate[part][weighed]))
         direction = None

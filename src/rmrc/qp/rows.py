@@ -21,8 +21,8 @@ STOPPING = 0.5
 the proportions of the slope."""
 ROUNDING = 1e-9
 """Share by which a row stays below the fastest that the box allows."""
-FASTEST, FARTHEST = 1e6, 10.0
-"""Rate in rad/s or m/s, and way of a joint in a step in rad or m, that stand for any."""
+FASTEST = 1e6
+"""Rate in rad/s or m/s that stands for any."""
 
 
 @dataclass(eq=False)
@@ -85,13 +85,13 @@ class Rows:
             full, bound = np.empty((speed.count, problem.model.nv)), np.empty(speed.count)
             speed.write(problem.model, rate[part], full, bound)
             self._add(parts, full[:, dofs], -bound, bound)
-        # Without a limit 0 · ∞ would be no number, and no joint goes further than around.
+        # Without a limit 0 · ∞ would be no number.
         low, high = np.maximum(box.lower, -FASTEST), np.minimum(box.upper, FASTEST)
         fastest = np.maximum(np.abs(low), np.abs(high))
         travel = fastest * dt
         if self._stops:
             travel += 0.5 * fastest * fastest * self._inverse_acceleration
-        self._travel[dofs] = np.minimum(travel, FARTHEST)
+        self._travel[dofs] = travel
         for barrier in self.barriers:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:

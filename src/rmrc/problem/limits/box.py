@@ -1,5 +1,6 @@
 """The limits of the joints, from position to jerk: one box in velocity, never empty."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,8 @@ class Box:
     """a_max, rad/s² or m/s²."""
     jerk: Array
     """j_max, rad/s³ or m/s³."""
+    step: float = math.inf
+    """Most that a joint moves in a step, rad or m, whatever its other limits are."""
 
 
 class BoxLimit:
@@ -39,8 +42,9 @@ class BoxLimit:
     Position asks for g(q_min − q)/dt ≤ v ≤ g(q_max − q)/dt and, with an acceleration limit a, that
     the joint can still stop: v ≤ −a dt + √(a²dt² + 2a(q_max − q)), mirrored below. The jerk limit
     gives the first interval (see `JerkLimit`), and position, velocity and acceleration, in this
-    order, each clip both its ends into their own. Clipping keeps the order of the ends, so that
-    lb ≤ ub whatever the limits say to each other, and the last of them wins.
+    order, each clip both its ends into their own; velocity to no more than `step`/dt. Clipping
+    keeps the order of the ends, so that lb ≤ ub whatever the limits say to each other, and the last
+    of them wins.
 
     A joint with v²/2a ≤ q_max − q stays in its range, whatever the lengths of the steps: a v with
     v dt + v²/2a ≤ q_max − q leaves that true after the step, and v_prev − a dt, or rest where it
@@ -55,8 +59,8 @@ class BoxLimit:
         self._gain = box.gain
         self._rate, self._rate_dt = np.empty((2, n)), 0.0
         # Both ends stand in one array, so that each limit is one call over 2n numbers.
-        self._fastest = np.stack([box.velocity] * 2)
-        self._slowest = -self._fastest
+        self._velocity, self._step = np.stack([box.velocity] * 2), box.step
+        self._fastest, self._slowest = np.empty((2, 2, n))
         self._ends = np.empty((2, n))
         self.lower, self.upper = self._ends
         """lb and ub (n,) of the last update, rad/s or m/s."""
@@ -91,6 +95,8 @@ class BoxLimit:
                 outside = self._is_outside()
         if dt != self._rate_dt:
             self._rate.fill(self._gain / dt)
+            np.minimum(self._velocity, self._step / dt, out=self._fastest)
+            np.negative(self._fastest, out=self._slowest)
             self._rate_dt = dt
         np.multiply(room, self._rate, out=ends)
         if self._deceleration.size:

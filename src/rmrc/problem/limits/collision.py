@@ -19,7 +19,7 @@ Ids = NDArray[np.intp]
 
 LEAVE = 1.2
 """A pair limits the motion until it is this multiple of the distance away at which it began to."""
-FARTHEST = 10.0
+FARTHEST = 100.0
 """Distance in m from which on it does not matter how far two geoms are apart."""
 SPARE = 0.05
 """Room in m that the bounding spheres must leave for the distance not to be measured."""
@@ -169,7 +169,7 @@ class Collision(Barrier):
         )
 
     def distances(self, data: mujoco.MjData, ids: Ids) -> Array:
-        """Return h of some pairs (k,), at most 10 m."""
+        """Return h of some pairs (k,), at most that of `FARTHEST`."""
         segment = np.empty(6)
         measures = (self._measures[i] for i in ids.tolist())
         d = [signed_distance(self._model, data, pair, FARTHEST, segment) for pair in measures]
@@ -239,7 +239,7 @@ class Collision(Barrier):
     def _extend(self, travel: Array, dt: float) -> None:
         """Join the travel of the dofs with that of the mocap bodies."""
         nv = self._model.nv
-        np.fmin(travel, FARTHEST, out=self._travel_now[:nv])  # it may be unlimited
+        np.fmin(travel, FARTHEST, out=self._travel_now[:nv])
         if self._twist.size:
             np.multiply(np.abs(self._twist).ravel(), dt, out=self._travel_now[nv:])
 

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 import mujoco
@@ -51,6 +52,13 @@ class TaskModel(Model):
             FieldError: If a value does not fit the model.
         """
 
+    def common(self) -> dict[str, Any]:
+        """Return what the task's term takes over: name, type, level, gain, and whether it is hard.
+
+        A task without an error of its own to close has no gain.
+        """
+        return {"gain": 0.0, **self.model_dump(include={"name", "type", "level", "hard"})}
+
 
 class WeightedTask(TaskModel):
     """A task whose weight may be a number, a diagonal or a matrix."""
@@ -66,9 +74,8 @@ class GainedTask(TaskModel):
     """Gain K in 1/s of the error's decay, never above 1/dt; `deadbeat` is 1/dt."""
 
     def common(self) -> dict[str, Any]:
-        """Return what the task's term takes over: name, type, level and gain."""
-        fields = self.model_dump(include={"name", "type", "level"})
-        return {**fields, "gain": gain_value(self.gain)}
+        """Return what the task's term takes over, with its gain K in 1/s."""
+        return super().common() | {"gain": gain_value(self.gain)}
 
 
 class HardTask(TaskModel):
@@ -127,6 +134,11 @@ class Term(ABC):
     def rows(self) -> int:
         """Number of rows of the error."""
         return self.weight.shape[0]
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """B's diagonal (rows,)."""
+        return self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)
 
     decisive: ClassVar[bool] = False
     """Whether the error must be within tolerance for a run to have converged."""

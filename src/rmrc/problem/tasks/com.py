@@ -17,7 +17,6 @@ from rmrc.problem.tasks.base import (
     TargetKind,
     Term,
     WeightedTask,
-    gain_value,
     weight_array,
 )
 
@@ -49,11 +48,7 @@ class ComTask(HardTask, GainedTask, WeightedTask):
         mujoco.mj_comPos(model, data)
         share = mass / mass.sum()
         return ComTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            hard=self.hard,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight,
             target=share @ data.subtree_com[list(roots)],
             shares=tuple(zip(roots, share.tolist(), strict=True)),

@@ -15,7 +15,6 @@ from rmrc.problem.tasks.base import (
     ConstraintTask,
     FieldError,
     Term,
-    gain_value,
     weight_array,
 )
 
@@ -52,13 +51,9 @@ class CouplingTask(ConstraintTask):
         if not by_dof.any():
             raise FieldError("coefficients", "name at least one joint and its coefficient, not 0")
         return CouplingTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight_array(self.B, 1),
             target=start[:0],
-            hard=self.hard,
             by_coordinate=by_coordinate,
             by_dof=by_dof,
             offset=self.offset,

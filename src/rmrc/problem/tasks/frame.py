@@ -21,7 +21,6 @@ from rmrc.problem.tasks.base import (
     Preserve,
     TargetKind,
     Term,
-    gain_value,
     weight_array,
 )
 
@@ -106,11 +105,7 @@ class FrameTask(PoseTask):
         weight = self.pose_weight()
         handle = resolve(model, self.frame)
         return FrameTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            hard=self.hard,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight,
             target=handle.pose_at(model, start),
             frame=handle,
@@ -139,8 +134,7 @@ class PoseTerm(Term):
     @cached_property
     def weighed(self) -> tuple[bool, bool]:
         """Whether the position and the orientation have a weight."""
-        diagonal = self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)
-        return (bool(diagonal[:3].any()), bool(diagonal[3:].any()))
+        return (bool(self.diagonal[:3].any()), bool(self.diagonal[3:].any()))
 
     @property
     def units(self) -> tuple[str, ...]:

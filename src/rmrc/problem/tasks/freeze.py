@@ -24,10 +24,7 @@ class FreezeTask(TaskModel):
         """Resolve the joints."""
         dofs = np.concatenate([np.atleast_1d(dof_of_joint(model, j)) for j in self.joints])
         return FreezeTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=0.0,
+            **self.common(),
             weight=np.zeros(0),
             target=start[:0],
             dofs=dofs,

@@ -20,10 +20,7 @@ class KineticEnergyTask(TaskModel):
     def compile(self, model: mujoco.MjModel, start: Array) -> "KineticEnergyTerm":
         """Take the weight; the inertia comes with every step."""
         return KineticEnergyTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=0.0,
+            **self.common(),
             weight=np.zeros(0),
             target=start[:0],
             inertia=self.B,

@@ -19,7 +19,6 @@ from rmrc.problem.tasks.base import (
     FieldError,
     Term,
     WeightedTask,
-    gain_value,
     weight_array,
 )
 
@@ -52,13 +51,9 @@ class LoopTask(ConstraintTask, WeightedTask):
         equalities = self._found(model)
         scale, angular = zip(*(_true_units(model, i) for i in equalities), strict=True)
         return LoopTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight_array(self.B, sum(part.size for part in scale)),
             target=start[:0],
-            hard=self.hard,
             equalities=equalities,
             scale=np.concatenate(scale),
             angular=np.concatenate(angular),

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import mink
-import numpy as np
 
 from rmrc.problem.tasks.base import Array, Term
 
@@ -69,18 +68,3 @@ class _MinkEvaluator:
             error[:] = residual[1]
             if self._moving[index]:
                 feedforward[:] = term.feed_forward(configuration, error, target, twist)
-
-
-def tangential(axis: Array, error: Array, rate: Array) -> Array:
-    """Return the part of a rate (3,) that turns the unit vector d = e + a, at right angles to it.
-
-    The rest would lengthen d: the three rows of an axis have rank two.
-    """
-    direction = error + axis
-    return rate - direction * (direction @ rate)
-
-
-def look_at_units(error: Array) -> Array:
-    """Return the angle in rad between two unit vectors of difference e: 2 asin(‖e‖/2)."""
-    half = 0.5 * float(np.sqrt(error @ error))
-    return np.array([2.0 * np.arcsin(min(half, 1.0))])

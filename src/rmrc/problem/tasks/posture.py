@@ -17,7 +17,6 @@ from rmrc.problem.tasks.base import (
     TargetKind,
     Term,
     WeightedTask,
-    gain_value,
     weight_array,
 )
 
@@ -46,11 +45,7 @@ class PostureTask(HardTask, GainedTask, WeightedTask):
         except ValueError as mistake:
             raise FieldError("target", str(mistake)) from None
         return PostureTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            hard=self.hard,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight,
             target=target,
         )
@@ -70,8 +65,7 @@ class PostureTerm(Term):
 
     def measure(self, error: Array) -> Array:
         """Return the norm of the error over the joints that have a weight, rad and m alike."""
-        weighed = (self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)) > 0
-        part = error[weighed]
+        part = error[self.diagonal > 0.0]
         return np.array([np.sqrt(part @ part)])
 
     @classmethod

@@ -9,7 +9,7 @@ import mujoco
 from rmrc.config.base import Frame
 from rmrc.problem.frames import FrameHandle, resolve
 from rmrc.problem.lie import adjoint, inverse, inverse_multiply, jlog, turn_back
-from rmrc.problem.tasks.base import Array, gain_value
+from rmrc.problem.tasks.base import Array
 from rmrc.problem.tasks.frame import PoseTask, PoseTerm
 from rmrc.problem.tasks.mink_tasks import MinkTerm
 
@@ -28,11 +28,7 @@ class RelativeFrameTask(PoseTask):
         weight = self.pose_weight()
         frame, root = resolve(model, self.frame), resolve(model, self.root)
         return RelativeFrameTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            hard=self.hard,
-            gain=gain_value(self.gain),
+            **self.common(),
             weight=weight,
             target=inverse_multiply(root.pose_at(model, start), frame.pose_at(model, start)),
             frame=frame,

@@ -20,10 +20,7 @@ class SmoothTask(WeightedTask):
     def compile(self, model: mujoco.MjModel, start: Array) -> "SmoothTerm":
         """Take the weight over all dofs."""
         return SmoothTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            gain=0.0,
+            **self.common(),
             weight=weight_array(self.B, model.nv),
             target=start[:0],
         )

@@ -46,11 +46,7 @@ class VelocityTask(HardTask, WeightedTask):
         if weight.ndim == 2:
             weight[:, ~named] = 0.0
         return VelocityTerm(
-            name=self.name,
-            type=self.type,
-            level=self.level,
-            hard=self.hard,
-            gain=0.0,
+            **self.common(),
             weight=weight,
             target=rates,
         )
@@ -70,8 +66,7 @@ class VelocityTerm(Term):
 
     def measure(self, error: Array) -> Array:
         """Return the norm of the rates' error over the joints that have a weight."""
-        weighed = (self.weight if self.weight.ndim == 1 else np.diagonal(self.weight)) > 0
-        part = error[weighed]
+        part = error[self.diagonal > 0.0]
         return np.array([np.sqrt(part @ part)])
 
     @classmethod
