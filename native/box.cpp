@@ -73,7 +73,7 @@ bool Box::update(const double* q, const double* v_previous, const double* a_prev
     const double below = is.lower[i] - at, above = is.upper[i] - at;
     outside |= below > range_rounding || above < -range_rounding;
     double low = below * rate, high = above * rate;
-    const double a = is.acceleration[i];
+    const double a = is.acceleration[i], fastest = std::min(is.velocity[i], is.step / dt);
     if (a < infinity) {
       const double back = is.lower[i] > -infinity ? stoppable(-below, a, dt) : infinity;
       const double ahead = is.upper[i] < infinity ? stoppable(above, a, dt) : infinity;
@@ -81,17 +81,17 @@ bool Box::update(const double* q, const double* v_previous, const double* a_prev
       high = std::min(std::max(high, -back), ahead);
     }
     if (is.jerk[i] < infinity) {
-      const double rate_before = a_previous[i], fastest = is.velocity[i];
+      const double rate_before = a_previous[i], speed = is.velocity[i];
       double least =
-          -eased(-below, -v, -rate_before, is.jerk[i], a, fastest, is.gain, dt);
-      double most = eased(above, v, rate_before, is.jerk[i], a, fastest, is.gain, dt);
+          -eased(-below, -v, -rate_before, is.jerk[i], a, speed, is.gain, dt);
+      double most = eased(above, v, rate_before, is.jerk[i], a, speed, is.gain, dt);
       if (least > most) least = most = 0.5 * (least + most);  // too little room on both sides
       const double floor = low, cap = high;
       low = std::min(std::max(least, floor), cap);
       high = std::min(std::max(most, floor), cap);
     }
-    low = std::min(std::max(low, -is.velocity[i]), is.velocity[i]);
-    high = std::min(std::max(high, -is.velocity[i]), is.velocity[i]);
+    low = std::min(std::max(low, -fastest), fastest);
+    high = std::min(std::max(high, -fastest), fastest);
     if (a < infinity) {
       const double change = a * dt;
       low = std::min(std::max(low, v - change), v + change);

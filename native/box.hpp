@@ -1,6 +1,7 @@
 // The box of the joint limits: rmrc.problem.limits.box and .jerk, the same roundings included.
 #pragma once
 
+#include <limits>
 #include <vector>
 
 namespace rmrc {
@@ -11,6 +12,7 @@ struct JointLimits {
   std::vector<double> lower, upper;
   double gain;
   std::vector<double> velocity, acceleration, jerk;
+  double step = std::numeric_limits<double>::infinity();  // most that a joint moves in a step
 };
 
 /// Computes lb ≤ v ≤ ub of a step: position, velocity and acceleration clip the ends in this order.

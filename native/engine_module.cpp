@@ -63,7 +63,7 @@ class BoundEngine {
               Writing rate, Writing jacobian, Reading v_previous, Reading a_previous,
               std::vector<int> dofs, Numbers hessian, double unit, double inertia, double floor,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                               Numbers>& limits,
+                               Numbers, double>& limits,
               Writing H, Writing g, Writing added_damping, Writing lb, Writing ub, int max_iter)
       : kept_{nb::cast(qpos),      nb::cast(cdof),       nb::cast(error),     nb::cast(feedforward),
               nb::cast(rate),      nb::cast(jacobian),   nb::cast(v_previous), nb::cast(a_previous),
@@ -96,7 +96,7 @@ class BoundEngine {
         static_cast<int>(nv),
         qpos.data(),
         cdof.data()};
-    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk] = limits;
+    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step] = limits;
     for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk}) {
       require(*values, n, "a limit");
     }
@@ -107,7 +107,7 @@ class BoundEngine {
         ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(),
                       added_damping.data(), a_previous.data()},
         Constants{std::move(dofs), std::move(hessian), unit, inertia, floor},
-        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk}, max_iter);
+        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step}, max_iter);
   }
 
   Engine& operator*() { return *engine_; }

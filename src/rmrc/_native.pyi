@@ -72,7 +72,14 @@ class Engine:
         inertia: float,
         floor: float,
         limits: tuple[
-            list[int], list[float], list[float], float, list[float], list[float], list[float]
+            list[int],
+            list[float],
+            list[float],
+            float,
+            list[float],
+            list[float],
+            list[float],
+            float,
         ],
         H: Array,
         g: Array,

@@ -172,6 +172,7 @@ class NativeEngine(PythonEngine):
                 box.velocity.tolist(),
                 box.acceleration.tolist(),
                 box.jerk.tolist(),
+                box.step,
             ),
             H=qp.H,
             g=qp.g,

@@ -115,7 +115,7 @@ class Progress:
             pair = (by_unit.get("m", math.inf), by_unit.get("rad", math.inf))
             if term.rows != 6:
                 pair = (float(limits[0]), math.inf)
-            found.append((term, _diagonal(term), pair))
+            found.append((term, term.diagonal, pair))
         return found
 
 
