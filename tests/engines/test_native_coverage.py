@@ -18,6 +18,8 @@ pytest.importorskip(
 from twins import assert_equal, twins
 
 STEPS, MANY_STEPS = 300, 2000
+START = [0.3, -0.4, 0.5, -1.8, 0.4, 1.7, 0.6]
+"""Of the Panda, away from singularities: at its home v can be worth less than SAME."""
 
 PANDA = str(REPOSITORY / "scenes" / "panda.xml")
 BIPED = str(REPOSITORY / "scenes" / "biped.xml")
@@ -71,7 +73,7 @@ def test_every_task_with_every_option(tasks: str, options: str) -> None:
     chosen = TASKS[tasks]
     if options == "rows" and not any(task["name"] == "hand" for task in chosen):
         chosen = [*chosen, {**HAND, "B": 0.1}]
-    problem = rmrc.compile(config(PANDA, chosen, dt=0.005, **OPTIONS[options]))
+    problem = rmrc.compile(config(PANDA, chosen, start=START, dt=0.005, **OPTIONS[options]))
     assert_equal(problem, STEPS, moving=options in ("soft", "rows"))
 
 
@@ -128,19 +130,19 @@ def test_an_obstacle_that_comes_near() -> None:
 
 
 def test_timeouts_and_a_measured_velocity() -> None:
-    options = {"previous": "measured", "timeouts": {"target": 0.2}, "limits": ROUGH}
+    options = {"previous": "measured", "timeout": {"target": 0.2}, "limits": ROUGH}
     problem = rmrc.compile(config(PANDA, [HAND, COUPLED], dt=0.01, **options))
     pair = [rmrc.Controller(problem, engine=engine) for engine in ("python", "native")]
     for controller in pair:
         assert controller.set_target("hand", problem.term["hand"].target[4:] + 0.1)
-    for k in range(60):
-        q = pair[0].q
-        python, native = (controller.step(q, v=0.9 * pair[0]._v) for controller in pair)
+    stale = 0
+    for _ in range(60):
+        q, v = pair[0].q, 0.9 * pair[0]._v
+        python, native = (controller.step(q, v=v) for controller in pair)
         assert native.flags == python.flags
         np.testing.assert_allclose(native.v, python.v, rtol=0.0, atol=1e-8)
-        if rmrc.Status.STALE in python.flags:
-            break
-    assert 15 < k < 25
+        stale += rmrc.Status.STALE in python.flags
+    assert 0 < stale < 60
 
 
 def test_runs_with_rows_and_levels_are_the_same_bit_by_bit() -> None:

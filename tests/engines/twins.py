@@ -9,8 +9,7 @@ import rmrc
 from rmrc import Problem, Step
 from rmrc.control.engine import PythonEngine
 from rmrc.control.step import ACTIVE_MULTIPLIER
-from rmrc.qp.cascade import Level
-from rmrc.qp.program import QP, Solution
+from rmrc.qp.program import Solution
 
 Array = NDArray[np.float64]
 
@@ -20,6 +19,10 @@ LEAST_RATE = 1e-3
 """rad/s or m/s: a v below it is compared as it is, for 1e-8 of it is below the rounding of q/dt."""
 TIE = 1e-6
 """A multiplier this small may be that of a limit that is only just active."""
+ROUNDING = 1e-13
+"""Of merits, relative to the largest of 1 and themselves."""
+MOST_APART = 0.1
+"""Share of the steps that tolerances may decide."""
 MET = 1e-8
 """rad/s or m/s: a limit that v is this near to may be active."""
 DEPENDENT = 1e-6
@@ -63,14 +66,23 @@ def scatter_targets(controller: rmrc.Controller, rng: np.random.Generator, movin
 
 
 def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
-    """Hold the native engine to the Python one over a run."""
+    """Hold the native engine to the Python one over a run.
+
+    Now and then the limits leave so little that DAQP's own tolerance decides about v: hard tasks
+    that cannot be met, or levels at a singularity in a corner of the box. Of such a step the native
+    engine has to have the better command.
+    """
+    apart = 0
     for python, native in twins(problem, steps, moving):
-        assert native.flags == python.flags
-        expected, solution = python.solution, native.solution
-        assert solution.status is expected.status
-        assert_same_velocity(solution, expected, native.moment.engine)
-        assert_same_active(solution, expected, native.moment.engine)
         np.testing.assert_allclose(native.moment.error, python.moment.error, atol=SAME_ERROR)
+        if difference(native.v, python.v) > SAME:
+            apart += 1
+            assert_better(native, python)
+            continue
+        assert native.flags == python.flags
+        assert native.solution.status is python.solution.status
+        assert_same_active(native.solution, python.solution, native.moment.engine)
+    assert apart <= MOST_APART * steps
 
 
 def difference(v: Array, expected: Array) -> float:
@@ -78,39 +90,36 @@ def difference(v: Array, expected: Array) -> float:
     return float(np.abs(v - expected).max() / max(np.abs(expected).max(), LEAST_RATE))
 
 
-def assert_same_velocity(solution: Solution, expected: Solution, engine: PythonEngine) -> None:
-    """Hold v to that of the Python engine, or, of levels, to the optimum itself.
+def assert_better(native: Step, python: Step) -> None:
+    """Hold the native command to be the better one in the first thing that tells the two apart."""
+    engine = native.moment.engine
+    ours, theirs = (merits(engine, step.solution.v) for step in (native, python))
+    apart = np.abs(ours - theirs) > ROUNDING * np.maximum(1.0, np.abs(theirs))
+    first = int(apart.argmax())
+    assert apart[first]
+    assert ours[first] < theirs[first]
 
-    Where a level is nearly singular at a corner of the limits, DAQP solves it only once the limits
-    have been given some room (see `rmrc.qp.cascade.ATTEMPTS`), and its v is that of the wider ones.
+
+def merits(engine: PythonEngine, v: Array) -> Array:
+    """Return what v is judged by, the most important first and less the better.
+
+    That is by how much it passes rows and misses equalities, and then the cost; or of each level
+    what it falls short of its directions, and its cost.
     """
-    if difference(solution.v, expected.v) <= SAME or engine._cascade is None:
-        assert difference(solution.v, expected.v) <= SAME
-        return
-    optimum = lexicographic(engine.assembly.levels(), engine.assembly.qp, solution)
-    assert difference(solution.v, optimum) <= SAME
-    assert difference(expected.v, optimum) > difference(solution.v, optimum)
-
-
-def lexicographic(levels: list[Level], qp: QP, solution: Solution) -> Array:
-    """Return the optimum of levels where the bounds that a solution is held by are equalities.
-
-    Of levels without rows of limits, equalities and preserved directions.
-    """
-    assert not (qp.lo.size or qp.f.size or any(level.direction for level in levels))
-    z = solution.bound_multiplier
-    v = np.where(z > 0.0, qp.ub, np.where(z < 0.0, qp.lb, 0.0))
-    free = np.eye(v.size)[:, np.abs(z) <= SAME]
-    for level in levels:
-        reach = level.rows @ free
-        hessian = reach.T @ reach + free.T @ level.metric @ free
-        slope = reach.T @ (level.rows @ v - level.rate) + free.T @ level.metric @ v
-        v = v - free @ np.linalg.solve(hessian, slope)
-        if reach.size:
-            _, sigma, right = np.linalg.svd(reach)
-            free = free @ right[np.count_nonzero(sigma > SAME) :].T
-    assert (np.clip(v, qp.lb - MET, qp.ub + MET) == v).all()
-    return v
+    qp = engine.assembly.qp
+    activity = qp.C @ v
+    missed = [qp.lo - activity, activity - qp.hi, np.abs(qp.E @ v - qp.f)]
+    found = [max(np.concatenate(missed).max(initial=0.0), 0.0)]
+    if engine._cascade is None:
+        return np.array([*found, 0.5 * v @ qp.H @ v + qp.g @ v])
+    for level in engine.assembly.levels():
+        if level.direction is not None:
+            jacobian, rate = level.direction
+            alpha = float(rate @ jacobian @ v / (rate @ rate))
+            found += [float(np.linalg.norm(jacobian @ v - alpha * rate)), -alpha]
+        residual = level.rows @ v - level.rate
+        found.append(0.5 * float(residual @ residual))
+    return np.array([*found, float(v @ level.metric @ v)])
 
 
 def assert_same_active(solution: Solution, expected: Solution, engine: PythonEngine) -> None:
