@@ -20,6 +20,8 @@ Ending ending_of(Status status) {
       return Ending::solved;
     case Status::max_iter:
       return Ending::max_iter;
+    case Status::time_limit:
+      return Ending::time_limit;
     case Status::infeasible:
       return Ending::infeasible;
     case Status::failed:
@@ -58,9 +60,13 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       z_(constants_.dofs.size()),
       residual_(constants_.dofs.size()),
       gradient_(mujoco.nv),
-      inertia_(constants_.inertia > 0.0 ? static_cast<std::size_t>(mujoco.nv) * mujoco.nv : 0),
       v_previous_(constants_.dofs.size()),
       a_previous_(constants_.dofs.size()) {}
+
+void Engine::add(std::unique_ptr<ForeignRows> term) {
+  foreign_.push_back(term.get());
+  rows_.push_back(std::move(term));
+}
 
 void Engine::adapt(DampingRule rule, std::vector<TaskedRow> rows) {
   damping_.emplace(rule, std::move(rows), size());
@@ -83,13 +89,7 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
                               std::chrono::duration<double>(std::max(seconds, 0.0)));
   }
   evaluate(q);
-  rates(dt);
-  assemble();
-  for (int i = 0; i < size(); ++i) {
-    v_previous_[i] = stack_.v_previous[constants_.dofs[i]];
-    a_previous_[i] = program_.a_previous[constants_.dofs[i]];
-  }
-  outside_ = box_.update(q, v_previous_.data(), a_previous_.data(), dt, program_.lb, program_.ub);
+  assemble(dt);
   const bool warm = warm_;
   Ending ending = attempt();
   if (warm && !trusted(ending) && in_time()) {
@@ -109,6 +109,19 @@ void Engine::evaluate(const double* q) {
   mujoco_.call.com_pos(mujoco_.model, mujoco_.data);
   for (const auto& term : rows_) term->evaluate();
   for (const JointTerm& term : joints_) term.evaluate(mujoco_, stack_);
+}
+
+bool Engine::assemble(double dt) {
+  for (ForeignRows* term : foreign_) term->read();
+  rates(dt);
+  add_terms();
+  for (int i = 0; i < size(); ++i) {
+    v_previous_[i] = stack_.v_previous[constants_.dofs[i]];
+    a_previous_[i] = program_.a_previous[constants_.dofs[i]];
+  }
+  outside_ = box_.update(mujoco_.qpos, v_previous_.data(), a_previous_.data(), dt, program_.lb,
+                         program_.ub);
+  return outside_;
 }
 
 void Engine::rates(double dt) {
@@ -131,7 +144,7 @@ void Engine::rate_of(const TermData& term, double dt) {
   for (int i = 0; i < term.rows; ++i) rate[i] += fed[i];
 }
 
-void Engine::assemble() {
+void Engine::add_terms() {
   const int n = size();
   double *H = program_.H, *g = program_.g;
   std::copy(constants_.hessian.begin(), constants_.hessian.end(), H);
@@ -157,10 +170,10 @@ void Engine::add_joints() {
 
 void Engine::add_inertia() {
   mujoco_.call.make_inertia(mujoco_.model, mujoco_.data);
-  mujoco_.call.full_inertia(mujoco_.model, mujoco_.data, inertia_.data());
+  mujoco_.call.full_inertia(mujoco_.model, mujoco_.data, program_.inertia);
   const double share = constants_.unit * constants_.inertia;
   for (int i = 0; i < size(); ++i) {
-    const double* row = inertia_.data() + constants_.dofs[i] * mujoco_.nv;
+    const double* row = program_.inertia + constants_.dofs[i] * mujoco_.nv;
     for (int j = 0; j <= i; ++j) program_.H[i * size() + j] += share * row[constants_.dofs[j]];
   }
 }
@@ -173,7 +186,7 @@ Ending Engine::attempt() {
   if (in_time()) {
     const Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
                           nullptr,    nullptr,    nullptr,     0,           0};
-    ending = ending_of(solver_.solve(program));
+    ending = ending_of(limited_ ? solver_.solve(program, end_) : solver_.solve(program));
     iterations_ = solver_.iterations();
     std::copy_n(solver_.v(), n, v_.begin());
     std::copy_n(solver_.bound_multiplier(), n, z_.begin());

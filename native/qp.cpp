@@ -21,11 +21,15 @@ constexpr int looks = 6;
 constexpr double implied_tolerance = 1e-9;
 // What the rates of a proof of infeasibility may miss, relative to the limit's own gradient.
 constexpr double balance_tolerance = 1e-10;
+// rad/s or m/s: what only a v further away than this could meet is not met.
+constexpr double farthest = 1e9;
 // Of the multipliers' rates: a smaller one is rounding, and holds nothing up.
 constexpr double least_rate = 1e-13;
 // Residual of the working set's equations, relative to their terms, that needs no refinement.
 constexpr double resolution = 16.0 * std::numeric_limits<double>::epsilon();
 constexpr int refinements = 5;
+// Changes of the working set between two looks at the clock, less one: a power of two, less one.
+constexpr int between_looks = 31;
 
 double sign_of(Side side) { return side == Side::lower ? -1.0 : 1.0; }
 
@@ -91,8 +95,9 @@ void QPSolver::forget() {
   std::fill(row_side_.begin(), row_side_.end(), Side::none);
 }
 
-Status QPSolver::solve(const Program& program) {
+Status QPSolver::solve(const Program& program, Clock::time_point end) {
   program_ = &program;
+  end_ = end;
   iterations_ = 0;
   if (program.rows != rows_ || program.equalities != equalities_) {
     // The rows are others than those of the last working set.
@@ -103,18 +108,22 @@ Status QPSolver::solve(const Program& program) {
   Status status = Status::failed;
   if (finite()) {
     status = read_limits() ? run() : Status::infeasible;
-    if (status != Status::solved && warm_) {
+    if (status != Status::solved && status != Status::time_limit && warm_) {
       // What rounding did on the way from an old working set says nothing about the program.
       forget();
       if (read_limits()) status = run();
     }
   }
-  warm_ = status == Status::solved;
-  if (!warm_) {
-    forget();
-    rest();
-  }
+  warm_ = status == Status::solved || status == Status::time_limit;
+  if (!warm_) forget();
+  if (status != Status::solved) rest();
   return status;
+}
+
+// Whether the time is not over; it is looked at now and then.
+bool QPSolver::in_time() const {
+  return (iterations_ & between_looks) != between_looks || end_ == Clock::time_point::max() ||
+         Clock::now() < end_;
 }
 
 // Whether all numbers are finite, and no limit is NaN.
@@ -159,7 +168,7 @@ Status QPSolver::run() {
       const Status status = enforce(limit);
       if (status == Status::solved) {
         settled = false;
-      } else if (settled || status == Status::max_iter) {
+      } else if (settled || status == Status::max_iter || status == Status::time_limit) {
         return status;
       } else {
         // What the steps before have added up to is no proof of a contradiction.
@@ -374,6 +383,7 @@ bool QPSolver::most_violated(double tolerance, Limit& found) const {
 Status QPSolver::enforce(const Limit& limit) {
   double multiplier = 0.0;
   while (iterations_ < max_iterations_) {
+    if (!in_time()) return Status::time_limit;
     const bool independent = find_direction(limit);
     const double excess = std::max(0.0, violation(limit));
     const double whole = independent ? excess / curvature_ : infinity;
@@ -445,13 +455,15 @@ bool QPSolver::find_direction(const Limit& limit) {
 }
 
 // Whether the direction proves that no v meets the limit and the working set: the multipliers'
-// rates balance on every variable, sign · a + Kᵀdy + dz = 0, but for rounding (Farkas).
+// rates balance on every variable, sign · a + Kᵀdy + dz = 0, but for rounding (Farkas). With r left
+// over, a v′ that meets them is at least excess/‖r‖ away.
 bool QPSolver::contradicted(const Limit& limit) const {
+  const double enough = violation(limit) / (farthest * size_);
   for (int k = 0; k < free_count_; ++k) {
     const int i = free_[k];
     double left = limit.is_bound ? (i == limit.index ? limit.sign : 0.0)
                                  : limit.sign * row(limit.index)[i];
-    const double most = relative(balance_tolerance, left);
+    const double most = std::max(relative(balance_tolerance, left), enough);
     for (int t = 0; t < active_count_; ++t) left += dy_[t] * row(active_[t])[i];
     if (std::abs(left) > most) return false;
   }

@@ -145,17 +145,15 @@ class PythonEngine:
 
         Return whether a joint is outside its range, or a distance below its limit.
         """
-        evaluation, assembly = self.evaluation, self.assembly
-        evaluation.v_previous[:] = v_previous
-        evaluation.update(q)
-        evaluation.evaluate()
-        outside = assembly.assemble(q, dt)
+        assembly = self.assembly
+        self.evaluation.v_previous[:] = v_previous
+        outside = self._assemble(q, dt)
         if self._box_alone:
             return outside
         equalities = assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
         rows = self.rows
-        rows.update(assembly.box, assembly.rate, dt)
+        rows.update(assembly.qp, assembly.rate, dt)
         count = 0 if equalities is None else equalities.right.size
         if (rows.count, count) != (assembly.qp.lo.size, assembly.qp.f.size):
             assembly.resize(rows.count, count)
@@ -166,6 +164,12 @@ class PythonEngine:
             qp.E[:], qp.f[:] = equalities.matrix, equalities.right
         self._solver = self._solver_of(qp)
         return outside or rows.passed
+
+    def _assemble(self, q: Array, dt: float) -> bool:
+        """Evaluate the terms and write the cost and the box; return whether a joint is outside."""
+        self.evaluation.update(q)
+        self.evaluation.evaluate()
+        return self.assembly.assemble(q, dt)
 
     def _descend_ladder(self, failed: Solution) -> Solution:
         """Return the solution of the first rung that holds, from a cold start on."""
