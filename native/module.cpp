@@ -99,4 +99,5 @@ NB_MODULE(_native, m) {
       .def("forget", &rmrc::QPSolver::forget, "Start the next solve cold.");
   rmrc::bind_engine(m);
   rmrc::bind_stepper(m);
+  rmrc::bind_batch(m);
 }
