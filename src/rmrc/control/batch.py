@@ -118,18 +118,12 @@ class BatchController:
         self, name: str, given: ArrayLike, width: int, read: Callable[[object], Array | None]
     ) -> Array:
         """Return valid rows (n, width) of what is given for each element, or once for all."""
-        n = self.n
-        if (array := numbers(given, n, width)) is not None:
-            rows = [read(row) for row in array]
-        else:
-            rows = [read(given)] * n
+        array = numbers(given, self.n, width)
+        rows = [read(row) for row in array] if array is not None else [read(given)] * self.n
         valid = [row for row in rows if row is not None]
-        if len(valid) < n:
-            first = f" (row {rows.index(None)})" if array is not None else ""
-            raise ModelError(
-                f"{name} must be ({n}, {width}) or ({width},) finite numbers with no zero"
-                f" quaternion{first}"
-            )
+        if len(valid) < self.n:
+            shape = f"({self.n}, {width}) or ({width},)"
+            raise ModelError(f"{name} must be {shape}: finite numbers with no zero quaternion")
         return np.array(valid)
 
     def set_targets(
