@@ -26,6 +26,8 @@ class Box {
   bool update(const double* q, const double* v_previous, const double* a_previous, double dt,
               double* lb, double* ub) const;
 
+  const JointLimits& limits() const { return limits_; }
+
  private:
   JointLimits limits_;
 };

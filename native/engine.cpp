@@ -77,6 +77,18 @@ void Engine::forget() {
   solver_.forget();
 }
 
+void Engine::keep(Memory& memory) {
+  memory(warm_);
+  solver_.keep(memory);
+}
+
+void Engine::rest_targets() {
+  for (const auto& term : rows_) {
+    const TermData& data = term->data();
+    if (*data.moving == 0) std::fill_n(stack_.feedforward + data.first, data.rows, 0.0);
+  }
+}
+
 bool Engine::damped() const {
   const double added = *program_.added_damping;
   return added > raised * (constants_.floor + added);

@@ -10,6 +10,7 @@
 #include "box.hpp"
 #include "certificate.hpp"
 #include "damping.hpp"
+#include "memory.hpp"
 #include "mujoco.hpp"
 #include "qp.hpp"
 #include "tasks.hpp"
@@ -75,6 +76,14 @@ class Engine {
 
   /// Forget the last solution, so that the next solve starts cold.
   void forget();
+
+  /// Go through what there is to keep between two solves, if others come between them.
+  void keep(Memory& memory);
+
+  /// Have no feed-forward for targets that do not move, whatever others did before.
+  void rest_targets();
+
+  const JointLimits& limits() const { return box_.limits(); }
 
   int size() const { return static_cast<int>(constants_.dofs.size()); }
   const std::vector<int>& dofs() const { return constants_.dofs; }

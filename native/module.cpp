@@ -117,4 +117,5 @@ NB_MODULE(_native, m) {
       }, "The number of variables, and the most rows and equalities.");
   rmrc::bind_engine(m);
   rmrc::bind_stepper(m);
+  rmrc::bind_batch(m);
 }

@@ -39,6 +39,18 @@ void Progress::begin() {
   still_ = moving_ = true;
 }
 
+void Progress::keep(Memory& memory) {
+  memory(last_);
+  memory(stuck_);
+  memory(since_look_);
+  memory(before_);
+  memory(elapsed_);
+  memory(least_);
+  memory(fastest_);
+  memory(still_);
+  memory(moving_);
+}
+
 void Progress::update(const Engine& engine, double dt) {
   since_look_ += dt;
   if (since_look_ * looks < window || watched_.empty()) return;

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "engine.hpp"
+#include "memory.hpp"
 
 namespace rmrc {
 
@@ -27,6 +28,9 @@ class Progress {
 
   /// Take note of the engine's last command, for a step of dt.
   void update(const Engine& engine, double dt);
+
+  /// Go through what there is to keep between two steps.
+  void keep(Memory& memory);
 
   bool stuck() const { return stuck_; }
 

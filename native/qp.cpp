@@ -95,6 +95,14 @@ void QPSolver::forget() {
   std::fill(row_side_.begin(), row_side_.end(), Side::none);
 }
 
+void QPSolver::keep(Memory& memory) {
+  memory(warm_);
+  memory(rows_);
+  memory(equalities_);
+  memory(bound_side_);
+  memory(row_side_);
+}
+
 Status QPSolver::solve(const Program& program, Clock::time_point end) {
   program_ = &program;
   end_ = end;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "cholesky.hpp"
+#include "memory.hpp"
 #include "row_basis.hpp"
 
 namespace rmrc {
@@ -60,6 +61,9 @@ class QPSolver {
 
   /// Forget the active set: the next solve starts cold.
   void forget();
+
+  /// Go through what the next solve starts from: the working set.
+  void keep(Memory& memory);
 
   int size() const { return size_; }
   int max_rows() const { return max_rows_; }

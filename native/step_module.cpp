@@ -6,7 +6,6 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
@@ -15,6 +14,7 @@
 #include <vector>
 
 #include "bindings.hpp"
+#include "inputs.hpp"
 #include "stepper.hpp"
 
 namespace nb = nanobind;
@@ -27,10 +27,6 @@ namespace {
 using Reading = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 using Flags = nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-constexpr double most = 1e12;        // rmrc.control.inputs.LARGEST
-constexpr double zero_norm = 1e-12;  // rmrc.control.inputs.ZERO_NORM
-constexpr double shortest = 1e-9, longest = 1e3;  // rmrc.control.controller
 
 // The numbers of an array that is plainly `size` doubles; none of anything else.
 class Plain {
@@ -112,11 +108,10 @@ nb::str interned(const char* name) {
   return nb::steal<nb::str>(PyUnicode_InternFromString(name));
 }
 
-// Where a target that is set at run time stands.
-struct Aim {
-  bool pose;  // or a point
-  double *target, *twist, *feedforward;
-  std::uint8_t* moving;
+// A target that is set at run time, with the feed-forward that moves it.
+struct FedAim {
+  Aim aim;
+  double* feedforward;
   int rows;
 };
 
@@ -170,54 +165,23 @@ class BoundStepper {
                              nb::cast(moving)}) {
       kept_.push_back(std::move(array));
     }
-    aims_.push_back({pose, target.data(), twist.data(), feedforward.data(), moving.data(),
+    aims_.push_back({{pose, target.data(), twist.data(), moving.data()},
+                     feedforward.data(),
                      static_cast<int>(feedforward.size())});
     return static_cast<int>(aims_.size()) - 1;
   }
 
   // Set a target from plain arrays that are valid; false, and nothing is set, for anything else.
   bool aim(int at, nb::handle position, nb::handle quaternion, nb::handle velocity) {
-    const Aim& aim = aims_[static_cast<std::size_t>(at)];
-    double pose[7], twist[6];
-    std::copy_n(aim.target, aim.pose ? 7 : 3, pose);
-    double* point = aim.pose ? pose + 4 : pose;
-    if (!position.is_none()) {
-      const Plain given(position, 3);
-      if (!given) return false;
-      std::copy_n(given.data(), 3, point);
-      if (!(point[0] * point[0] + point[1] * point[1] + point[2] * point[2] < most * most)) {
-        return false;
-      }
-    } else if (!aim.pose) {
+    const auto& [aim, feedforward, rows] = aims_[static_cast<std::size_t>(at)];
+    const Plain place(position, 3), turn(quaternion, 4), rates(velocity, aim.width());
+    if ((!place && !(aim.pose && position.is_none())) || (!turn && !quaternion.is_none()) ||
+        (turn && !aim.pose) || (!rates && !velocity.is_none())) {
       return false;
     }
-    if (!quaternion.is_none()) {
-      const Plain given(quaternion, 4);
-      if (!given || !aim.pose) return false;
-      double square = 0.0;
-      for (int i = 0; i < 4; ++i) square += given[i] * given[i];
-      if (!(zero_norm * zero_norm < square && square < most * most)) return false;
-      const double scale = 1.0 / std::sqrt(square);
-      for (int i = 0; i < 4; ++i) pose[i] = given[i] * scale;
-    }
-    const int width = aim.pose ? 6 : 3;
-    const bool moving = !velocity.is_none();
-    if (moving) {
-      const Plain given(velocity, width);
-      if (!given) return false;
-      for (int i = 0; i < width; ++i) {
-        if (!(std::abs(given[i]) < most)) return false;
-        twist[i] = given[i];
-      }
-    }
-    std::copy_n(pose, aim.pose ? 7 : 3, aim.target);
-    if (moving) {
-      std::copy_n(twist, width, aim.twist);
-      *aim.moving = 1;
-    } else if (*aim.moving) {
-      std::fill_n(aim.feedforward, aim.rows, 0.0);
-      *aim.moving = 0;
-    }
+    const bool moved = *aim.moving != 0;
+    if (!aim.take({place.data(), turn.data(), rates.data()})) return false;
+    if (moved && !rates) std::fill_n(feedforward, rows, 0.0);
     return true;
   }
 
@@ -227,7 +191,7 @@ class BoundStepper {
     if (!dt.is_none()) {
       if (!PyFloat_CheckExact(dt.ptr())) return nb::none();
       seconds = PyFloat_AS_DOUBLE(dt.ptr());
-      if (!(shortest <= seconds && seconds <= longest)) return nb::none();
+      if (!(shortest_step <= seconds && seconds <= longest_step)) return nb::none();
     }
     const auto size = static_cast<std::size_t>(stepper_->size());
     std::unique_ptr<double[]> values(new double[size]);
@@ -264,11 +228,13 @@ class BoundStepper {
   nb::str flag_bits_ = interned("flag_bits"), source_ = interned("_source");
   std::vector<nb::object> kept_;
   double dt_;
-  std::vector<Aim> aims_;
+  std::vector<FedAim> aims_;
   std::unique_ptr<Stepper> stepper_;
 };
 
 }  // namespace
+
+Stepper& stepper_of(nb::handle object) { return nb::cast<BoundStepper&>(object).stepper(); }
 
 void bind_stepper(nb::module_& m) {
   nb::class_<Record>(m, "Record", "A step as it was taken: a buffer of doubles.",

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "inputs.hpp"
+
 namespace rmrc {
 
 namespace {
@@ -19,8 +21,6 @@ enum : unsigned {
 };
 
 constexpr double active_multiplier = 1e-7;  // rmrc.control.step.ACTIVE_MULTIPLIER
-constexpr double most = 1e12;               // rmrc.control.inputs.LARGEST
-constexpr double zero_norm = 1e-12;         // rmrc.control.inputs.ZERO_NORM
 
 }  // namespace
 
@@ -44,7 +44,7 @@ bool Stepper::read(const double* q, double* out) const {
   const int nq = engine_.mujoco().nq;
   bool sane = true;
   for (int i = 0; i < nq; ++i) {
-    sane &= std::abs(q[i]) < most;  // NaN is not less
+    sane &= std::abs(q[i]) < largest_input;  // NaN is not less
     out[i] = q[i];
   }
   for (const int first : quaternions_) {
@@ -80,13 +80,47 @@ bool Stepper::step(const double* q, double dt, double* out, Summary& summary) {
   std::fill_n(v, nv, 0.0);
   for (int i = 0; i < n; ++i) v[engine_.dofs()[i]] = engine_.v()[i];
   std::copy_n(from, nq, following);
-  mujoco.call.integrate_pos(mujoco.model, following, v, dt);
-  std::copy_n(following, nq, state_.q);
-  std::copy_n(v, nv, state_.v);
+  carry_out(v, following, dt);
   std::copy_n(engine_.bound_multiplier(), n, z);
   for (const KeptArray& array : kept_) rest = std::copy_n(array.values, array.size, rest);
   std::copy_n(moving_.values, moving_.size, rest);
   return true;
+}
+
+void Stepper::brake(double dt, double* out) {
+  const int nq = engine_.mujoco().nq, nv = engine_.mujoco().nv;
+  double *v = out + v_begins, *following = v + nv;
+  std::fill_n(v, nv, 0.0);
+  for (int i = 0; i < engine_.size(); ++i) {
+    const int dof = engine_.dofs()[i];
+    const double most = engine_.limits().acceleration[i] * dt;
+    v[dof] = state_.v[dof] - std::min(std::max(state_.v[dof], -most), most);
+  }
+  progress_.reset();
+  std::copy_n(state_.q, nq, following);
+  carry_out(v, following, dt);
+}
+
+// Move q on with v, and remember both.
+void Stepper::carry_out(const double* v, double* q, double dt) {
+  const MuJoCo& mujoco = engine_.mujoco();
+  mujoco.call.integrate_pos(mujoco.model, q, v, dt);
+  std::copy_n(q, mujoco.nq, state_.q);
+  std::copy_n(v, mujoco.nv, state_.v);
+}
+
+void Stepper::reset(const double* q, const double* v) {
+  std::copy_n(q, engine_.mujoco().nq, state_.q);
+  std::copy_n(v, engine_.mujoco().nv, state_.v);
+  progress_.reset();
+  engine_.forget();
+}
+
+void Stepper::keep(Memory& memory) {
+  memory(state_.q, engine_.mujoco().nq);
+  memory(state_.v, engine_.mujoco().nv);
+  progress_.keep(memory);
+  engine_.keep(memory);
 }
 
 unsigned Stepper::flags(Ending ending) const {

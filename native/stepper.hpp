@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "engine.hpp"
+#include "memory.hpp"
 #include "progress.hpp"
 
 namespace rmrc {
@@ -55,11 +56,23 @@ class Stepper {
   /// Return false, and change nothing, if q is not valid.
   bool step(const double* q, double dt, double* out, Summary& summary);
 
+  /// Slow down for dt seconds at the limits of the acceleration, or stand still at once.
+  ///
+  /// Of what `step` writes, write v and the configuration it leads to.
+  void brake(double dt, double* out);
+
+  /// Start anew at q (nq,) that moves with v (nv,).
+  void reset(const double* q, const double* v);
+
+  /// Go through what there is to keep between two steps.
+  void keep(Memory& memory);
+
   Engine& engine() { return engine_; }
   Progress& progress() { return progress_; }
 
  private:
   bool read(const double* q, double* out) const;
+  void carry_out(const double* v, double* q, double dt);
   unsigned flags(Ending ending) const;
 
   Engine& engine_;

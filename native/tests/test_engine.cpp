@@ -1,5 +1,5 @@
 // Steps of a planar arm, whose kinematics stand in for MuJoCo's: optimal, inside the box, the same
-// again bit by bit, and without a call for memory.
+// again bit by bit, and without a call for memory; and those of many arms on few threads.
 
 #include <algorithm>
 #include <atomic>
@@ -12,6 +12,7 @@
 #include <new>
 #include <vector>
 
+#include "batch.hpp"
 #include "stepper.hpp"
 
 namespace {
@@ -125,7 +126,7 @@ struct Fixture {
     std::vector<rmrc::TaskedRow> tasked;
     for (int r = 0; r < 6; ++r) tasked.push_back({0, r});
     engine->adapt({adapt, 0.3, 0.1, 3, 1.0}, tasked);
-    rmrc::Progress progress({{0, std::vector<double>(6, 1.0), {1e-3, 1e-2}}}, 1e-2);
+    rmrc::Progress progress({{0, std::vector<double>(6, 1.0), {1e-3, 1e-2}}}, 1e-2, pose, 7);
     stepper = std::make_unique<rmrc::Stepper>(
         *engine, std::move(progress), rmrc::ControllerState{q, v, v_previous}, std::vector<int>{},
         std::vector<char>(joints), infinity,
@@ -154,7 +155,7 @@ struct Fixture {
     clamped.clamps = {{0, 3, 0.05}, {3, 3, 0.2}};
     std::vector<double> full(36, 0.1);
     for (int i = 0; i < 6; ++i) full[7 * i] = 1.0;
-    engine->add(std::make_unique<rmrc::BodyFrame>(clamped, full, end, mujoco, stack));
+    engine->add(std::make_unique<rmrc::BodyFrame>(clamped, full, end, 10.0, mujoco, stack));
     engine->add(std::make_unique<rmrc::WorldFrame>(next(pose), ones(6), end, mujoco, stack));
     engine->add(
         std::make_unique<rmrc::RelativeFrame>(next(offset), ones(6), end, base, mujoco, stack));
@@ -233,6 +234,87 @@ void test_bad_input() {
   for (const double v : fixture.v) expect(std::isfinite(v), "v is not finite", 0);
 }
 
+constexpr int elements = 150, bad_q = 17, bad_target = 40;
+constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.step.Status
+
+// What came out of a batch: v of all steps, and the flags.
+struct Rows {
+  std::vector<double> v;
+  std::vector<std::int32_t> flags;
+  bool operator==(const Rows&) const = default;
+};
+
+// The target of an element: some are within reach, some are not.
+void pose_of(int element, double* pose) {
+  const double angle = 0.05 * element;
+  pose[0] = (element % 3 + 0.5) * 0.8 * std::cos(angle);
+  pose[1] = (element % 3 + 0.5) * 0.8 * std::sin(angle);
+  pose[2] = 0.0;
+  pose[3] = element == bad_target ? std::nan("") : 1.0;
+  pose[4] = pose[5] = pose[6] = 0.0;
+}
+
+Rows run_batch(int threads, int steps) {
+  std::vector<std::unique_ptr<Fixture>> fixtures;
+  std::vector<rmrc::Worker> workers;
+  for (int thread = 0; thread < threads; ++thread) {
+    fixtures.push_back(std::make_unique<Fixture>(rmrc::Adapt::sigma_min));
+    Fixture& own = *fixtures.back();
+    workers.push_back({own.stepper.get(), own.pose, own.twist, &own.moving});
+  }
+  const Fixture& first = *fixtures[0];
+  rmrc::Batch batch(elements, workers, std::vector<double>(first.pose, first.pose + 7), 1);
+  std::vector<double> q(elements * joints), v(q.size()), poses(elements * 7);
+  for (int i = 0; i < elements; ++i) {
+    std::copy_n(first.q, joints, q.begin() + i * joints);
+    pose_of(i, poses.data() + 7 * i);
+  }
+  batch.reset(q.data(), v.data());
+  std::vector<std::uint8_t> accepted(elements);
+  batch.aim({0, 0, true}, poses.data(), nullptr, accepted.data());
+  for (int i = 0; i < elements; ++i) {
+    expect((accepted[i] != 0) == (i != bad_target), "a target is taken for another's", -1);
+  }
+  Rows rows{std::vector<double>(steps * v.size()), std::vector<std::int32_t>(steps * elements)};
+  for (int k = 0; k < steps; ++k) {
+    const bool measured = k % 50 == 49;
+    if (measured) q[bad_q * joints + 2] = std::nan("");
+    const rmrc::BatchOutput out{rows.v.data() + k * v.size(), q.data(),
+                                rows.flags.data() + k * elements};
+    const long before = allocations;
+    batch.step(measured ? q.data() : nullptr, dt, out);
+    expect(allocations == before, "a batch called for memory", k);
+    for (int i = 0; i < elements; ++i) {
+      const bool invalid = (out.flags[i] & invalid_input) != 0;
+      expect(invalid == ((i == bad_q && measured) || (i == bad_target && k == 0)),
+             "an element's failure is another's", k);
+    }
+  }
+  return rows;
+}
+
+void test_batch() {
+  constexpr int steps = 200;
+  const Rows rows = run_batch(1, steps);
+  for (const int threads : {2, 3}) {
+    expect(run_batch(threads, steps) == rows, "more threads give other bits", -1);
+  }
+  for (const int element : {0, 1, 2, elements - 1}) {
+    Fixture alone(rmrc::Adapt::sigma_min);
+    std::vector<double> out(alone.stepper->size());
+    double pose[7];
+    pose_of(element, pose);
+    const rmrc::Aim aim{true, alone.pose, alone.twist, &alone.moving};
+    expect(aim.take({pose, pose + 3, nullptr}), "a target is not taken", element);
+    rmrc::Summary summary;
+    for (int k = 0; k < steps; ++k) {
+      alone.stepper->step(nullptr, dt, out.data(), summary);
+      const double* v = rows.v.data() + (k * elements + element) * joints;
+      expect(std::equal(v, v + joints, alone.v), "an element is not as if it were alone", k);
+    }
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -241,6 +323,7 @@ int main() {
     expect(run(adapt, 3000) == run(adapt, 3000), "another run gives other bits", -1);
   }
   test_bad_input();
+  test_batch();
   std::puts(ok ? "ok" : "failed");
   return ok ? EXIT_SUCCESS : EXIT_FAILURE;
 }

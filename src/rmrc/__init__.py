@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from rmrc.config.base import Frame, Pose
     from rmrc.config.load import load
     from rmrc.config.models import Config
+    from rmrc.control.batch import BatchController, BatchStep
     from rmrc.control.controller import Controller
     from rmrc.control.loop import solve
     from rmrc.control.paths import (
@@ -50,6 +51,8 @@ __version__ = version("rmrc")
 _HOMES = {
     "ArcPath": "rmrc.control.paths",
     "AxisAlignTask": "rmrc.problem.tasks",
+    "BatchController": "rmrc.control.batch",
+    "BatchStep": "rmrc.control.batch",
     "CenteringTask": "rmrc.problem.tasks",
     "CirclePath": "rmrc.control.paths",
     "ClearanceTask": "rmrc.problem.tasks",
@@ -102,6 +105,8 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "ArcPath",
     "AxisAlignTask",
+    "BatchController",
+    "BatchStep",
     "CenteringTask",
     "CirclePath",
     "ClearanceTask",

@@ -174,3 +174,27 @@ class Stepper:
     def update(self, v: Array, dt: float) -> None: ...
     @property
     def stuck(self) -> bool: ...
+
+class Batch:
+    """Many controllers that take turns on a few steppers."""
+
+    def __init__(
+        self,
+        *,
+        count: int,
+        workers: list[tuple[Stepper, Array, Array, NDArray[np.uint8]]],
+        start: list[float],
+    ) -> None: ...
+    def reset(self, q: Array, v: Array) -> None: ...
+    def aim(
+        self,
+        task: int,
+        first: int,
+        pose: bool,
+        values: Array,
+        velocities: Array | None,
+        accepted: NDArray[np.uint8],
+    ) -> None: ...
+    def step(
+        self, q: Array | None, dt: float, v: Array, following: Array, flags: NDArray[np.int32]
+    ) -> None: ...

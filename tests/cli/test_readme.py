@@ -65,10 +65,10 @@ def test_the_limits_are_those_of_a_configuration(folder: Path) -> None:
     assert set(limits) == set(type(config.limits).model_fields)
 
 
-SNIPPETS = [each for each in blocks() if each.startswith("import rmrc")]
+SNIPPETS = [each for each in blocks() if each.startswith("import ")]
 
 
-@pytest.mark.parametrize("snippet", SNIPPETS, ids=["solve", "step"])
+@pytest.mark.parametrize("snippet", SNIPPETS, ids=["solve", "step", "batch"])
 def test_the_snippets_run(snippet: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(snippet, "README.md", "exec"), {})
     assert capsys.readouterr().out

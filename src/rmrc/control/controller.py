@@ -34,7 +34,8 @@ _STALE = 1 << Status.STALE
 _RECOVERING = 1 << Status.RECOVERING
 _MAX_ITER = 1 << Status.MAX_ITER
 _INVALID_INPUT = 1 << Status.INVALID_INPUT
-_FAILED = _MAX_ITER | _DEADLINE | _STALE | _INVALID_INPUT
+FAILED = _MAX_ITER | _DEADLINE | _STALE | _INVALID_INPUT
+"""Bits of the statuses without a certified solution."""
 _SOLVED = SolveStatus.SOLVED  # to look it up takes 0.1 µs
 
 
@@ -105,7 +106,6 @@ class Controller:
         self._set_at: dict[str, float] = {}
         self._measured: Array | None = None
         self.failures = 0
-        self._progress.reset()
         model, data = self._model, evaluation.data
         for name, mocap in self._obstacle.items():
             body = model.body(name).id
@@ -117,6 +117,7 @@ class Controller:
         for term in self.problem.terms:
             evaluation.target[term.name][:] = term.target
             evaluation.stop(term.name)
+        self._progress.reset()  # which looks whether the targets move from here
         self.engine.reset()
 
     def _rates(self, name: str, rates: ArrayLike | None) -> Array:
@@ -214,15 +215,18 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
-        if self._quick is not None and not self._refused:
+        if self._quick is not None:
             step = self._quick.step(self.engine, q, dt)
             if step is not None:
-                self.failures = self.failures + 1 if step.flag_bits & _FAILED else 0
+                if self._refused:
+                    self._refused = False
+                    step.flag_bits |= _INVALID_INPUT
+                self.failures = self.failures + 1 if step.flag_bits & FAILED else 0
                 return step
         if self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
         valid = self._q.copy() if q is None else self._configurations.read(q)
-        seconds = self.problem.dt if dt is None else self._seconds(dt)
+        seconds = self.problem.dt if dt is None else seconds_of(dt)
         if valid is None or seconds is None:
             return self._brake(seconds, _INVALID_INPUT)
         dt = seconds
@@ -285,7 +289,7 @@ class Controller:
             self._a[:] = (v - previous) / dt
         self._q[:], self._v[:] = following, v
         self._clock += dt
-        self.failures = self.failures + 1 if flags & _FAILED else 0
+        self.failures = self.failures + 1 if flags & FAILED else 0
         moment = Moment(self.engine, q, previous, acceleration, dt)
         return Step(Made(v, following, solution, moment), flags)
 
@@ -363,10 +367,11 @@ class Controller:
         self.engine.share = 1.0  # of a brake nothing was left out
         return self._carried_out(self._q.copy(), solution, flags, seconds, self._v.copy())
 
-    def _seconds(self, dt: object) -> float | None:
-        """Return a length of a step in s, or None if it is none."""
-        seconds = _number(dt)
-        return seconds if seconds is not None and SHORTEST <= seconds <= LONGEST else None
+
+def seconds_of(dt: object) -> float | None:
+    """Return a length of a step in s, or None if it is none."""
+    seconds = _number(dt)
+    return seconds if seconds is not None and SHORTEST <= seconds <= LONGEST else None
 
 
 def _number(value: object) -> float | None:

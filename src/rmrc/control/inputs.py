@@ -40,15 +40,15 @@ def sane(array: Array) -> bool:
     return bool(np.maximum.reduce(np.absolute(array), axis=None) < LARGEST)  # NaN is not less
 
 
-def numbers(value: Any, size: int) -> Array | None:
-    """Return real numbers (size,) as floats, not copied if they are; None if value is none."""
-    if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == (size,):
+def numbers(value: Any, *shape: int) -> Array | None:
+    """Return real numbers of a shape as floats, not copied if they are; None if value is none."""
+    if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == shape:
         return value
     try:
         array = np.asarray(value)
     except Exception:  # arrays of other libraries raise what they like, as PyTorch's on a GPU
         return None
-    if array.dtype.kind not in "fiu" or array.shape != (size,):
+    if array.dtype.kind not in "fiu" or array.shape != shape:
         return None
     if array.dtype != float:
         with np.errstate(over="ignore"):  # a longer float may be beyond all floats

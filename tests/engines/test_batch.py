@@ -1,0 +1,348 @@
+"""Many controllers at once: each as if it were alone, whatever the others do and on any thread."""
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rmrc
+from models import REPOSITORY, config
+from rmrc import BatchController, Controller, Problem, Status
+
+Array = NDArray[np.float64]
+
+PANDA = str(REPOSITORY / "scenes" / "panda.xml")
+BIPED = str(REPOSITORY / "scenes" / "biped.xml")
+HAND: dict[str, Any] = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}
+POSTURE: dict[str, Any] = {"name": "posture", "type": "posture", "level": 1}
+TIMED: dict[str, Any] = {"timeout": {"target": 0.1}}
+INVALID = 1 << Status.INVALID_INPUT
+STEPS = 90
+"""At 10 ms enough for three windows of what tells STUCK."""
+
+native = pytest.mark.skipif(
+    bool(BatchController(rmrc.compile(config(PANDA, [HAND])), 1).notices),
+    reason="the native extension is not built",
+)
+
+
+def panda(*tasks: dict[str, Any], **others: Any) -> Problem:
+    return rmrc.compile(config(PANDA, [HAND, POSTURE, *tasks], dt=0.01, **others))
+
+
+def biped() -> Problem:
+    foot = {"name": "foot", "type": "frame", "frame": {"site": "left_foot"}, "axes": "world"}
+    com = {"name": "com", "type": "com", "B": 0.2}
+    return rmrc.compile(config(BIPED, [foot, com, POSTURE], dt=0.01))
+
+
+PROBLEMS = {
+    "panda": lambda: panda(),
+    "acceleration": lambda: panda(limits={"acceleration": {"default": 8.0}}),
+    "adaptive damping": lambda: panda(damping={"lambda": 0.01, "adapt": "sigma_min"}),
+    "frozen joint": lambda: panda({"name": "still", "type": "freeze", "joints": ["joint3"]}),
+    "some dofs": lambda: panda(dofs=["joint2", "joint4", "joint5", "joint6"]),
+    "gaze": lambda: panda({"name": "gaze", "type": "look_at", "frame": {"site": "hand"}}),
+    "floating base": biped,
+}
+
+
+def scattered(problem: Problem, n: int, rng: np.random.Generator, far: float) -> dict[str, Array]:
+    """Return targets for n elements, each up to so far away; every seventh row is not valid."""
+    found = {}
+    for name, term in problem.term.items():
+        if term.target_kind == "pose":
+            turned = term.target[:4] + 0.2 * rng.normal(size=(n, 4))
+            found[name] = np.hstack([term.target[4:] + rng.uniform(-far, far, (n, 3)), turned])
+            found[name][6::7, 3:] = 0.0
+        elif term.target_kind == "point":
+            found[name] = term.target + rng.uniform(-far, far, (n, 3))
+            found[name][6::7, 1] = np.inf
+    return found
+
+
+def inputs(k: int, q: Array, rng: np.random.Generator) -> tuple[Array | None, float | None]:
+    """Return q and dt of step k: commanded or measured, some of it not valid."""
+    dt = [None, 0.004, 0.02][k % 3]
+    if k % 4:
+        return None, dt
+    q = q + 1e-3 * rng.normal(size=q.shape)
+    if k % 8 == 0:
+        q[2::9, -1] = np.nan
+    return q, dt
+
+
+def assert_alike(
+    batch: BatchController, controllers: list[Controller], steps: int, calm: bool = False
+) -> set[Status]:
+    """Hold each element to a controller that is given the same; return the statuses met.
+
+    Where it is calm there are targets once, and no measurements.
+    """
+    rng, met, n = np.random.default_rng(0), set[Status](), batch.n
+    for k in range(steps):
+        if k == 0 or (k % 30 == 0 and not calm):
+            for name, rows in scattered(
+                batch.problem, n, rng, 2.0 if calm else 0.1 + 0.02 * k
+            ).items():
+                pose = rows.shape[1] == 7
+                rates = 0.1 * rng.normal(size=(n, 6 if pose else 3)) if k == 30 else None
+                accepted = [
+                    controller.set_target(
+                        name, rows[i, :3], rows[i, 3:] if pose else None,
+                        None if rates is None else rates[i],
+                    )
+                    for i, controller in enumerate(controllers)
+                ]  # fmt: skip
+                assert batch.set_targets(name, rows, rates).tolist() == accepted
+        q, dt = (None, None) if calm else inputs(k, batch.q, rng)
+        step = batch.step(q, dt)
+        for i, controller in enumerate(controllers):
+            alone = controller.step(None if q is None else q[i], dt)
+            np.testing.assert_array_equal(step.v[i], alone.v)
+            np.testing.assert_array_equal(step.q[i], alone.q)
+            assert step.flags[i] == alone.flag_bits
+            assert step.status[i] == alone.status
+            met |= alone.flags
+        assert batch.failures.tolist() == [controller.failures for controller in controllers]
+    return met
+
+
+@native
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_element_takes_the_steps_of_a_controller(name: str, threads: int) -> None:
+    problem, n = PROBLEMS[name](), 40
+    batch = BatchController(problem, n, threads=threads)
+    assert (batch.engine, batch.threads, batch.notices) == ("native", threads, ())
+    met = assert_alike(batch, [Controller(problem) for _ in range(n)], STEPS)
+    assert met >= {Status.LIMITED, Status.INVALID_INPUT}
+
+
+@native
+def test_elements_are_stuck_on_their_own_and_start_anew() -> None:
+    problem = panda(limits={"velocity": {"default": 3.0}})
+    batch = BatchController(problem, 12, threads=2)
+    controllers = [Controller(problem) for _ in range(12)]
+    for _ in range(2):
+        assert Status.STUCK in assert_alike(batch, controllers, 250, calm=True)
+        batch.reset()
+        for controller in controllers:
+            controller.reset()
+
+
+@native
+@pytest.mark.parametrize("name", sorted(p.name for p in (REPOSITORY / "configs").glob("*.yaml")))
+def test_shipped_configs(name: str, request: pytest.FixtureRequest) -> None:
+    if name.startswith("menagerie"):
+        request.getfixturevalue("menagerie")
+    problem = rmrc.compile(rmrc.load(REPOSITORY / "configs" / name))
+    batch = BatchController(problem, 8, threads=2)
+    if batch.notices:
+        pytest.skip(batch.notices[0])
+    assert_alike(batch, [Controller(problem) for _ in range(8)], 100)
+
+
+@native
+def test_the_number_of_threads_makes_no_difference() -> None:
+    problem, n = panda(), 300
+    batches = [BatchController(problem, n, threads=threads) for threads in (1, 2, 5)]
+    rng = np.random.default_rng(0)
+    for k in range(40):
+        if k % 20 == 0:
+            targets = scattered(problem, n, rng, 0.5)["hand"]
+            accepted = [batch.set_targets("hand", targets) for batch in batches]
+            assert not accepted[0].all()
+        steps = [batch.step() for batch in batches]
+        for other in steps[1:]:
+            np.testing.assert_array_equal(other.v, steps[0].v)
+            np.testing.assert_array_equal(other.flags, steps[0].flags)
+
+
+ENGINES = pytest.mark.parametrize("engine", [pytest.param("native", marks=native), "python"])
+
+
+@ENGINES
+def test_one_bad_row_is_no_other_elements_affair(engine: Any) -> None:
+    problem = panda(limits={"acceleration": {"default": 2.0}})
+    batch, good = (BatchController(problem, 100, engine=engine) for _ in range(2))
+    rng = np.random.default_rng(0)
+    targets = scattered(problem, 100, rng, 0.2)["hand"]
+    targets[6::7, 3:] = [0, 1, 0, 0]
+    for each in (batch, good):
+        assert each.set_targets("hand", targets).all()
+        for _ in range(10):
+            each.step()
+    q = good.q
+    bad = q.copy()
+    bad[37, 2] = np.nan
+    step, expected = batch.step(bad), good.step(q)
+    assert (step.status == Status.INVALID_INPUT).nonzero()[0].tolist() == [37]
+    others = np.arange(100) != 37
+    np.testing.assert_array_equal(step.v[others], expected.v[others])
+    assert np.isfinite(step.v).all()
+    assert batch.failures.tolist() == np.eye(100, dtype=int)[37].tolist()
+    before, slower = np.abs(expected.v[37]).max(), np.abs(step.v[37]).max()
+    assert 0.0 < slower < before  # it brakes at the limit of its acceleration
+    assert batch.step().status[37] != Status.INVALID_INPUT
+
+
+@ENGINES
+def test_a_bad_target_keeps_the_last_good_one(engine: Any) -> None:
+    problem = panda()
+    batch, good = (BatchController(problem, 5, engine=engine) for _ in range(2))
+    targets = scattered(problem, 5, np.random.default_rng(0), 0.2)["hand"]
+    for each in (batch, good):
+        assert each.set_targets("hand", targets).all()
+    bad = targets + 0.1
+    bad[1, 0], bad[3, 3:] = np.nan, 0.0
+    assert batch.set_targets("hand", bad).tolist() == [True, False, True, False, True]
+    mixed = np.where([[True], [False], [True], [False], [True]], bad, targets)
+    assert good.set_targets("hand", mixed).all()
+    step, expected = batch.step(), good.step()
+    np.testing.assert_array_equal(step.v, expected.v)
+    assert (step.flags ^ expected.flags).tolist() == [0, INVALID, 0, INVALID, 0]
+    assert batch.step().flags.tolist() == good.step().flags.tolist()
+
+
+@native
+def test_an_iteration_limit_is_met_by_one_alone() -> None:
+    problem = panda(solver={"max_iter": 1})
+    batch = BatchController(problem, 10)
+    hand = problem.term["hand"].target
+    targets = np.tile(np.hstack([hand[4:], hand[:4]]), (10, 1))
+    targets[4, :3] += [0.5, -3.0, 0.5]  # several joints come to their limits in one step
+    assert batch.set_targets("hand", targets).all()
+    step = batch.step()
+    assert (step.status == Status.MAX_ITER).nonzero()[0].tolist() == [4]
+    assert batch.failures[4] == 1
+    assert batch.failures.sum() == 1
+
+
+@native
+def test_targets_out_of_reach_for_some() -> None:
+    problem = rmrc.compile(config(PANDA, [HAND, {**POSTURE, "B": 1e-3}], dt=0.01))
+    batch = BatchController(problem, 20)
+    hand = problem.term["hand"].target
+    targets = np.tile(np.hstack([hand[4:], hand[:4]]), (20, 1))
+    targets[:, 0] += 0.05
+    targets[::4, :3] = [0.0, 5.0, 0.0]
+    batch.set_targets("hand", targets)
+    for _ in range(500):
+        batch.step()
+    step = batch.step()
+    far = np.arange(20) % 4 == 0
+    assert (step.flags[far] >> Status.STUCK & 1).all()
+    assert not (step.flags[~far] >> Status.STUCK & 1).any()
+    poses = [problem.forward(q)["hand"][:3, 3] for q in step.q[~far]]
+    np.testing.assert_allclose(poses, targets[~far, :3], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("engine", "options"),
+    [("python", {}), ("auto", TIMED), ("auto", {"limits": {"jerk": {"default": 500.0}}})],
+)
+def test_without_threads_there_are_controllers(engine: Any, options: dict[str, Any]) -> None:
+    problem = panda(**options)
+    batch = BatchController(problem, 9, engine=engine)
+    assert any("9 controllers are stepped one after the other" in said for said in batch.notices)
+    assert batch.threads == 1
+    assert_alike(batch, [Controller(problem, engine) for _ in range(9)], 70)
+
+
+@ENGINES
+def test_what_is_no_input_brakes_all(engine: Any) -> None:
+    batch = BatchController(panda(), 3, engine=engine)
+    assert batch.set_targets("hand", [[0.4, 0.1, 0.5, 0, 1, 0, 0]] * 3).all()
+    moved = batch.step()
+    assert (moved.v != 0.0).any(axis=1).all()
+    for q, dt in ((moved.q[:2], None), ("q", None), (None, -1.0), (None, "soon"), (moved.q, 1e9)):
+        step = batch.step(q, dt)  # type: ignore[arg-type]
+        assert step.flags.tolist() == [INVALID] * 3
+        np.testing.assert_array_equal(step.q, moved.q)
+    for targets, rates in (([0.4, 0.1, 0.5], None), ("home", None), (np.ones((3, 7)), [1.0])):
+        assert not batch.set_targets("hand", targets, rates).any()  # type: ignore[arg-type]
+    assert (batch.step().flags & INVALID).all()
+    assert not (batch.step().flags & INVALID).any()
+
+
+def test_a_reset_starts_where_it_is_told() -> None:
+    problem, rng = panda(), np.random.default_rng(0)
+    batch = BatchController(problem, 4)
+    np.testing.assert_array_equal(batch.q, np.tile(problem.start, (4, 1)))
+    q = problem.start + 0.1 * rng.normal(size=(4, 7))
+    batch.step(dt=-1.0)
+    batch.reset(q, v=0.1 * np.ones(7))
+    np.testing.assert_array_equal(batch.q, q)
+    assert not batch.failures.any()
+    step = batch.step(np.full((4, 7), np.nan))
+    np.testing.assert_array_equal(step.v, np.zeros((4, 7)))  # no acceleration limit: at once
+    q[2, 3] = np.inf
+    for bad in (q, q[0, :3], q[2]):
+        with pytest.raises(rmrc.ModelError, match="q must be"):
+            batch.reset(bad)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: BatchController(panda(), 0), "n must be at least 1, not 0"),
+        (lambda: BatchController(panda(), 2, threads=0), "threads must be at least 1, not 0"),
+        (lambda: BatchController(panda(), 2, engine="quick"), "no engine named 'quick'"),  # type: ignore[arg-type]
+        (lambda: BatchController(panda(), 2).set_targets("hnad", []), "did you mean 'hand'"),
+        (
+            lambda: BatchController(panda(), 2).set_targets("posture", []),
+            "no target that is a pose or",
+        ),
+    ],
+)
+def test_mistakes_are_told(call: Any, message: str) -> None:
+    with pytest.raises(rmrc.ModelError, match=message):
+        call()
+
+
+@native
+def test_other_threads_of_python_go_on_meanwhile() -> None:
+    batch, stamps, over = BatchController(panda(), 4000, threads=1), [], threading.Event()
+
+    def tick() -> None:
+        while not over.wait(1e-4):
+            stamps.append(time.perf_counter())
+
+    ticking = threading.Thread(target=tick)
+    ticking.start()
+    try:
+        spans = []
+        for _ in range(20):
+            begin = time.perf_counter()
+            batch.step()
+            spans.append((begin, time.perf_counter()))
+    finally:
+        over.set()
+        ticking.join()
+    inside = [
+        begin + 0.25 * (end - begin) < stamp < end - 0.25 * (end - begin)
+        for begin, end in spans
+        for stamp in stamps
+    ]
+    assert any(inside)
+
+
+@native
+def test_calls_that_overlap_wait_for_each_other() -> None:
+    problem, n = panda(), 500
+    batch, twin = BatchController(problem, n, threads=2), BatchController(problem, n, threads=2)
+    targets = scattered(problem, n, np.random.default_rng(0), 0.3)["hand"]
+    batch.set_targets("hand", targets)
+    twin.set_targets("hand", targets)
+    callers = [threading.Thread(target=batch.step) for _ in range(8)]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join()
+    for _ in range(8):
+        twin.step()
+    np.testing.assert_array_equal(batch.step().v, twin.step().v)
