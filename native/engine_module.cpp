@@ -297,7 +297,7 @@ void bind_engine(nb::module_& m) {
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,
                     std::vector<int>, Numbers, double, double, double,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                                     Numbers>&,
+                                     Numbers, double>&,
                     Writing, Writing, Writing, Writing, Writing, Writing, int>(),
            nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a, "cdof"_a, "error"_a,
            "feedforward"_a, "rate"_a, "jacobian"_a, "v_previous"_a, "a_previous"_a, "dofs"_a,
