@@ -13,6 +13,7 @@ import numpy as np
 
 import rmrc
 from models import random_configuration, random_quaternion
+from rmrc.control.inputs import LARGEST
 from rmrc.control.step import Status, Step
 from rmrc.problem.frames import names
 from rmrc.problem.problem import Problem
@@ -43,8 +44,8 @@ class Figures:
     """The largest violation of each kind."""
     kkt: float = 0.0
     """The largest residual of a solution that nothing was reported of."""
-    slowest: float = 0.0
-    """The longest time of a step, s."""
+    slowest: tuple[float, str] = (0.0, "")
+    """The longest time of a step, s, and how to take it again."""
     braking: int = 0
     """Steps that braked for what came in."""
     steps: int = 0
@@ -84,6 +85,7 @@ class Episode:
             int(model.body(OBSTACLE).mocapid[0]) if OBSTACLE in names(model, "mocap body") else -1
         )
         self._v, self._a = np.zeros((2, model.nv))
+        self._number = 0
         self._go_on(self._problem, self._start())
 
     def _start(self) -> Array:
@@ -113,6 +115,7 @@ class Episode:
             Violation: If a step breaks a promise.
         """
         for k in range(count):
+            self._number = k
             try:
                 moment, step = self._step(figures)
                 found = self._checker.check(moment, step, self._controller)
@@ -131,13 +134,16 @@ class Episode:
             yield k + 1
 
     def _message(self, k: int, said: str) -> str:
-        again = f"bench/soak.py --scene {self.scene.name} --seed {self.seed} --steps {k + 1}"
-        return f"{said} at step {k}; again: {again}\n  {json.dumps(self.config)}"
+        return f"{said} at step {k}; again: {self._again(k)}\n  {json.dumps(self.config)}"
+
+    def _again(self, k: int) -> str:
+        return f"bench/soak.py --scene {self.scene.name} --seed {self.seed} --steps {k + 1}"
 
     def _advance(self, moment: Moment, step: Step) -> None:
         """Go where the command leads."""
         self._now += moment.dt
-        self._v, self._a = step.v.copy(), (step.v - moment.v) / moment.dt
+        acceleration = (step.v - moment.v) / moment.dt  # without limits more than is believed
+        self._v, self._a = step.v.copy(), np.clip(acceleration, -0.5 * LARGEST, 0.5 * LARGEST)
         if self._twist.any():
             k, data = self._mocap, self._controller.engine.evaluation.data
             position, quaternion = carried(data, self._twist, moment.dt)
@@ -163,7 +169,7 @@ class Episode:
         moment.invalid |= refused
         begin = perf_counter()
         step = self._controller.step(**arguments)
-        figures.slowest = max(figures.slowest, perf_counter() - begin)
+        figures.slowest = max(figures.slowest, (perf_counter() - begin, self._again(self._number)))
         return moment, step
 
     def _inputs(self) -> tuple[dict[str, Any], Moment]:
