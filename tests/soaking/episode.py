@@ -13,7 +13,6 @@ import numpy as np
 
 import rmrc
 from models import random_configuration, random_quaternion
-from rmrc.control.inputs import LARGEST
 from rmrc.control.step import Status, Step
 from rmrc.problem.frames import names
 from rmrc.problem.problem import Problem
@@ -26,6 +25,8 @@ FAR = 1e6
 """How many times as far away a target is that has gone astray."""
 JUMPS = (1e-9, 1e-6, 0.1, 1.0)
 """Lengths in s of the step that comes now and then from a clock that has stood still or jumped."""
+ASTRAY = 1e11
+"""Largest number in a state from which the robot goes on; beyond it, it starts anew at rest."""
 LATE = 1e-9
 """Rounding of a sum of times, s."""
 
@@ -142,8 +143,11 @@ class Episode:
     def _advance(self, moment: Moment, step: Step) -> None:
         """Go where the command leads."""
         self._now += moment.dt
-        acceleration = (step.v - moment.v) / moment.dt  # without limits more than is believed
-        self._v, self._a = step.v.copy(), np.clip(acceleration, -0.5 * LARGEST, 0.5 * LARGEST)
+        self._v, self._a = step.v.copy(), (step.v - moment.v) / moment.dt
+        if max(np.abs(step.q).max(), np.abs(self._v).max(), np.abs(self._a).max()) > ASTRAY:
+            self._v[:], self._a[:] = 0.0, 0.0  # without limits and damping it may get anywhere
+            self._go_on(self._problem, self._problem.start)
+            return
         if self._twist.any():
             k, data = self._mocap, self._controller.engine.evaluation.data
             position, quaternion = carried(data, self._twist, moment.dt)
