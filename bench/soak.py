@@ -101,7 +101,8 @@ class Soak:
             "worst": {kind: float(f"{worst:.3g}") for kind, worst in figures.worst.items()},
             "largest_kkt": float(f"{figures.kkt:.3g}"),
             "memory_growth_mb": round(memory[-1] - memory[0], 1) if memory else None,
-            "slowest_step_ms": round(1e3 * figures.slowest, 1),
+            "slowest_step_ms": round(1e3 * figures.slowest[0], 1),
+            "slowest_step": figures.slowest[1],
             "steps_per_second": round(figures.steps / seconds),
         }
 

@@ -25,6 +25,8 @@ FAR = 1e6
 """How many times as far away a target is that has gone astray."""
 JUMPS = (1e-9, 1e-6, 0.1, 1.0)
 """Lengths in s of the step that comes now and then from a clock that has stood still or jumped."""
+ASTRAY = 1e11
+"""Largest number in a state from which the robot goes on; beyond it, it starts anew at rest."""
 LATE = 1e-9
 """Rounding of a sum of times, s."""
 
@@ -43,8 +45,8 @@ class Figures:
     """The largest violation of each kind."""
     kkt: float = 0.0
     """The largest residual of a solution that nothing was reported of."""
-    slowest: float = 0.0
-    """The longest time of a step, s."""
+    slowest: tuple[float, str] = (0.0, "")
+    """The longest time of a step, s, and how to take it again."""
     braking: int = 0
     """Steps that braked for what came in."""
     steps: int = 0
@@ -84,6 +86,7 @@ class Episode:
             int(model.body(OBSTACLE).mocapid[0]) if OBSTACLE in names(model, "mocap body") else -1
         )
         self._v, self._a = np.zeros((2, model.nv))
+        self._number = 0
         self._go_on(self._problem, self._start())
 
     def _start(self) -> Array:
@@ -113,6 +116,7 @@ class Episode:
             Violation: If a step breaks a promise.
         """
         for k in range(count):
+            self._number = k
             try:
                 moment, step = self._step(figures)
                 found = self._checker.check(moment, step, self._controller)
@@ -131,13 +135,19 @@ class Episode:
             yield k + 1
 
     def _message(self, k: int, said: str) -> str:
-        again = f"bench/soak.py --scene {self.scene.name} --seed {self.seed} --steps {k + 1}"
-        return f"{said} at step {k}; again: {again}\n  {json.dumps(self.config)}"
+        return f"{said} at step {k}; again: {self._again(k)}\n  {json.dumps(self.config)}"
+
+    def _again(self, k: int) -> str:
+        return f"bench/soak.py --scene {self.scene.name} --seed {self.seed} --steps {k + 1}"
 
     def _advance(self, moment: Moment, step: Step) -> None:
         """Go where the command leads."""
         self._now += moment.dt
         self._v, self._a = step.v.copy(), (step.v - moment.v) / moment.dt
+        if max(np.abs(step.q).max(), np.abs(self._v).max(), np.abs(self._a).max()) > ASTRAY:
+            self._v[:], self._a[:] = 0.0, 0.0  # without limits and damping it may get anywhere
+            self._go_on(self._problem, self._problem.start)
+            return
         if self._twist.any():
             k, data = self._mocap, self._controller.engine.evaluation.data
             position, quaternion = carried(data, self._twist, moment.dt)
@@ -163,7 +173,7 @@ class Episode:
         moment.invalid |= refused
         begin = perf_counter()
         step = self._controller.step(**arguments)
-        figures.slowest = max(figures.slowest, perf_counter() - begin)
+        figures.slowest = max(figures.slowest, (perf_counter() - begin, self._again(self._number)))
         return moment, step
 
     def _inputs(self) -> tuple[dict[str, Any], Moment]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.engines import Choice, build_engine
-from rmrc.control.inputs import Configurations, Targets
+from rmrc.control.inputs import LARGEST, Configurations, Targets
 from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
@@ -126,7 +126,7 @@ class Controller:
             return np.zeros(self._model.nv)
         valid = self._configurations.read_velocity(rates)
         if valid is None:
-            raise ModelError(f"{name} must be {self._model.nv} finite numbers")
+            raise ModelError(f"{name} must be {self._model.nv} numbers below {LARGEST:g} in size")
         return valid
 
     def set_target(
