@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 import rmrc
 from rmrc import Problem, Step
-from rmrc.control.engine import PythonEngine
+from rmrc.control.engines import Engine
 from rmrc.control.step import ACTIVE_MULTIPLIER
 from rmrc.qp.program import Solution
 
@@ -100,7 +100,7 @@ def assert_better(native: Step, python: Step) -> None:
     assert ours[first] < theirs[first]
 
 
-def merits(engine: PythonEngine, v: Array) -> Array:
+def merits(engine: Engine, v: Array) -> Array:
     """Return what v is judged by, the most important first and less the better.
 
     That is by how much it passes rows and misses equalities, and then the cost; or of each level
@@ -110,19 +110,20 @@ def merits(engine: PythonEngine, v: Array) -> Array:
     activity = qp.C @ v
     missed = [qp.lo - activity, activity - qp.hi, np.abs(qp.E @ v - qp.f)]
     found = [max(np.concatenate(missed).max(initial=0.0), 0.0)]
-    if engine._cascade is None:
+    if not engine.problem.cascaded:
         return np.array([*found, 0.5 * v @ qp.H @ v + qp.g @ v])
-    for level in engine.assembly.levels():
+    levels = engine.assembly.levels()
+    for level in levels:
         if level.direction is not None:
             jacobian, rate = level.direction
             alpha = float(rate @ jacobian @ v / (rate @ rate))
             found += [float(np.linalg.norm(jacobian @ v - alpha * rate)), -alpha]
         residual = level.rows @ v - level.rate
         found.append(0.5 * float(residual @ residual))
-    return np.array([*found, float(v @ level.metric @ v)])
+    return np.array([*found, float(v @ levels[-1].metric @ v)])
 
 
-def assert_same_active(solution: Solution, expected: Solution, engine: PythonEngine) -> None:
+def assert_same_active(solution: Solution, expected: Solution, engine: Engine) -> None:
     """Hold the active limits to those of the Python engine, ties aside.
 
     A tie is a multiplier near 0, or limits that depend on one another where v is: they can share
@@ -135,14 +136,14 @@ def assert_same_active(solution: Solution, expected: Solution, engine: PythonEng
         assert are_dependent(engine, solution.v)
 
 
-def are_dependent(engine: PythonEngine, v: Array) -> bool:
+def are_dependent(engine: Engine, v: Array) -> bool:
     """Return whether the limits that v meets, with what levels fix, depend on one another."""
     qp = engine.assembly.qp
     activity = qp.C @ v
     bounds = (v <= qp.lb + MET) | (v >= qp.ub - MET)
     rows = (activity <= qp.lo + MET) | (activity >= qp.hi - MET)
     fixed = [np.eye(v.size)[bounds], qp.C[rows], qp.E]
-    if engine._cascade is not None:
+    if engine.problem.cascaded:
         fixed += [level.rows for level in engine.assembly.levels()]
     stacked = np.concatenate(fixed)
     sigma = np.linalg.svd(stacked, compute_uv=False)
