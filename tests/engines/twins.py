@@ -19,6 +19,9 @@ LEAST_RATE = 1e-3
 """rad/s or m/s: a v below it is compared as it is, for 1e-8 of it is below the rounding of q/dt."""
 TIE = 1e-6
 """A multiplier this small may be that of a limit that is only just active."""
+MEASURED = 1e-3
+"""Relative, of commands that were shortened or corrected: MuJoCo's distances of meshes jump by 1e-7
+from one configuration to the next, and so does the share that is found by measuring them."""
 ROUNDING = 1e-13
 """Of merits, relative to the largest of 1 and themselves."""
 MOST_APART = 0.1
@@ -42,9 +45,9 @@ def twins(problem: Problem, steps: int, moving: bool = False) -> Iterator[tuple[
             scatter_targets(leader, rng, moving)
         other.targets[:], other.twists[:] = evaluation.targets, evaluation.twists
         other.moving[:] = evaluation.moving
-        twin._v[:], twin._a[:] = leader._v, leader._a
-        q = leader.q
-        yield leader.step(), twin.step(q)
+        # The very same bits: the nearest points of two meshes jump with the last of them.
+        twin._q[:], twin._v[:], twin._a[:] = leader._q, leader._v, leader._a
+        yield leader.step(), twin.step()
 
 
 def scatter_targets(controller: rmrc.Controller, rng: np.random.Generator, moving: bool) -> None:
@@ -70,14 +73,19 @@ def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
 
     Now and then the limits leave so little that DAQP's own tolerance decides about v: hard tasks
     that cannot be met, or levels at a singularity in a corner of the box. Of such a step the native
-    engine has to have the better command.
+    engine has to have the better command. What is left of a command by the check of the distances
+    at its end depends on how they are measured there (see `MEASURED`).
     """
     apart = 0
     for python, native in twins(problem, steps, moving):
         np.testing.assert_allclose(native.moment.error, python.moment.error, atol=SAME_ERROR)
+        assert native.moment.engine.relaxed == python.moment.engine.relaxed
         if difference(native.v, python.v) > SAME:
             apart += 1
-            assert_better(native, python)
+            if is_corrected(native, python):
+                assert difference(native.v, python.v) < MEASURED
+            else:
+                assert_better(native, python)
             continue
         assert native.flags == python.flags
         assert native.solution.status is python.solution.status
@@ -88,6 +96,13 @@ def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
 def difference(v: Array, expected: Array) -> float:
     """Return the largest difference of two velocities, relative to the largest element."""
     return float(np.abs(v - expected).max() / max(np.abs(expected).max(), LEAST_RATE))
+
+
+def is_corrected(native: Step, python: Step) -> bool:
+    """Return whether distances at the end of the step had a say in a command."""
+    engines = native.moment.engine, python.moment.engine
+    lower, other = (engine.assembly.qp.lo for engine in engines)
+    return native.moment.share < 1.0 or not np.array_equal(lower, other)
 
 
 def assert_better(native: Step, python: Step) -> None:
