@@ -85,7 +85,8 @@ def lacking(problem: Problem) -> list[str]:
     config, found = problem.config, []
     if config.method != "qp":
         found.append(f"method {config.method}")
-    if not _definite(problem):
+    # The programs of a cascade have a damping of their own.
+    if not (problem.cascaded or _definite(problem)):
         found.append("programs without damping")
     if config.solver.backend != "daqp":
         found.append(f"backend {config.solver.backend}")
@@ -112,10 +113,12 @@ def _definite(problem: Problem) -> bool:
 
 
 class NativeEngine(PythonEngine):
-    """Does `solve` in C++; what is asked for later, as for an explanation, is the Python engine's.
+    """Evaluates, assembles and solves in C++, with an active-set method (see native/README.md).
 
-    Errors, feed-forwards, Jacobians, ẋ and the program are written where the Python engine would
-    have written them. It solves with an active-set method of its own (see native/README.md).
+    Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
+    would have written them. A program of a box alone is C++'s as a whole; rows, equalities, levels
+    and the rungs of the ladder are the Python engine's, and what they solve is solved in C++. Terms
+    without an evaluator in C++, the foreign ones, are evaluated in Python before C++ assembles.
     """
 
     name = "native"
@@ -170,8 +173,9 @@ class NativeEngine(PythonEngine):
             for kind, evaluate in evaluation.evaluators.items()
             if kind not in _JOINT and not issubclass(kind, _ROWS)
         ]
-        self._alone = not (self._foreign or problem.mink_tasks or self._cascade)
-        self._alone &= self._box_alone
+        self._alone = self._box_alone and not (
+            self._foreign or problem.mink_tasks or problem.cascaded
+        )
         self.layout = Layout(self)
         """Where the numbers of a step stand in what the extension has noted of it."""
 
@@ -270,6 +274,21 @@ class NativeEngine(PythonEngine):
             damping.adapt, damping.threshold, damping.largest, adaptive.rank, adaptive.scale, rows
         )
 
+    def _assemble(self, q: Array, dt: float) -> bool:
+        self._native.evaluate(q)
+        self.evaluation.fill_constraints()
+        for evaluate in self._foreign:
+            evaluate()
+        outside = self._native.assemble(dt)
+        self.assembly.add_mink_tasks(dt)
+        return outside
+
+    def _new_backend(self) -> Backend:
+        return Native(self.problem.config.solver.max_iter)
+
+    def _other_backend(self) -> Backend:
+        return create("daqp", max_iter=self.problem.config.solver.max_iter)
+
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""
         self._native.forget()
@@ -299,18 +318,3 @@ class NativeEngine(PythonEngine):
         both = np.empty((2, self.problem.dofs.size))
         status, iterations, *kkt, self.outside = self._native.solve(q, dt, seconds, both)
         return Solution(both[0], both[1], _NONE, _NONE, iterations, SolveStatus(status), KKT(*kkt))
-
-    def _assemble(self, q: Array, dt: float) -> bool:
-        self._native.evaluate(q)
-        self.evaluation.fill_constraints()
-        for evaluate in self._foreign:
-            evaluate()
-        outside = self._native.assemble(dt)
-        self.assembly.add_mink_tasks(dt)
-        return outside
-
-    def _new_backend(self) -> Backend:
-        return Native(self.problem.config.solver.max_iter)
-
-    def _other_backend(self) -> Backend:
-        return create("daqp", max_iter=self.problem.config.solver.max_iter)
