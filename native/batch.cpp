@@ -23,7 +23,7 @@ Batch::Batch(int count, std::vector<Worker> workers, std::vector<double> start, 
       pool_(static_cast<int>(workers_.size())) {
   Memory counted;
   workers_[0].stepper->keep(counted);
-  bytes_ = (counted.bytes() + 63) / 64 * 64;  // no two elements on one line of a cache
+  bytes_ = counted.bytes();
   memory_.resize(count * bytes_);
   for (const Worker& worker : workers_) records_.emplace_back(worker.stepper->size());
 }

@@ -80,11 +80,11 @@ class Batch {
   std::vector<Worker> workers_;
   std::vector<double> start_;
   int tasks_;
-  std::size_t bytes_;                          // that an element keeps
-  std::vector<std::byte> memory_;              // (n, bytes)
-  std::vector<double> targets_, twists_;       // (n, size), (n, tasks, 6)
-  std::vector<std::uint8_t> moving_, refused_; // (n, tasks), (n,)
-  std::vector<std::vector<double>> records_;   // of the threads
+  std::size_t bytes_;                           // that an element keeps
+  std::vector<std::byte> memory_;               // (n, bytes)
+  std::vector<double> targets_, twists_;        // (n, size), (n, tasks, 6)
+  std::vector<std::uint8_t> moving_, refused_;  // (n, tasks), (n,)
+  std::vector<std::vector<double>> records_;    // of the threads
   std::mutex mutex_;
   ThreadPool pool_;
 };

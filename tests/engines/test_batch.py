@@ -269,6 +269,18 @@ def test_what_is_no_input_brakes_all(engine: Any) -> None:
     assert not (batch.step().flags & INVALID).any()
 
 
+@ENGINES
+def test_rows_may_lie_as_they_like(engine: Any) -> None:
+    problem = panda()
+    batch, plain = (BatchController(problem, 4, engine=engine) for _ in range(2))
+    targets = np.round(scattered(problem, 4, np.random.default_rng(0), 0.2)["hand"], 4)
+    assert plain.set_targets("hand", targets).all()
+    assert batch.set_targets("hand", np.asfortranarray(targets)).all()
+    q = plain.q.astype(np.float32)
+    for row in (q.astype(float), q, np.repeat(q, 2, axis=0)[::2], q.tolist()):
+        np.testing.assert_array_equal(batch.step(row).v, plain.step(q.astype(float)).v)
+
+
 def test_a_reset_starts_where_it_is_told() -> None:
     problem, rng = panda(), np.random.default_rng(0)
     batch = BatchController(problem, 4)

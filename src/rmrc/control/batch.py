@@ -23,7 +23,7 @@ Flags = NDArray[np.int32]
 Rows = tuple[Array, Array, Flags]
 
 _MOST_SEVERE = np.array([max(bits.bit_length() - 1, 0) for bits in range(2 << max(Status))])
-_PARTS = "with timeouts, a measured velocity or a jerk limit Python takes a part of each step"
+_PARTS = "Python takes a part of each step, as with timeouts, a measured velocity or a jerk limit"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -52,7 +52,7 @@ class BatchController:
     step (see `notices`) there are n controllers, and one is stepped after the other.
 
     As with a controller `step` and `set_targets` never raise for what a caller can meet at run
-    time, and calls must not overlap.
+    time, and calls must not overlap. Obstacles stay where the model has them.
     """
 
     def __init__(
@@ -108,10 +108,10 @@ class BatchController:
             ModelError: If q or v does not fit this model and n.
         """
         read, model = self._configurations, self.problem.model
-        q = self.problem.start if q is None else q
-        v = np.zeros(model.nv) if v is None else v
-        self._q[:] = self._rows("q", q, model.nq, read.read)
-        self._elements.reset(self._q, self._rows("v", v, model.nv, read.read_velocity))
+        start = self._rows("q", self.problem.start if q is None else q, model.nq, read.read)
+        rates = np.zeros(model.nv) if v is None else v
+        self._elements.reset(start, self._rows("v", rates, model.nv, read.read_velocity))
+        self._q[:] = start
         self.failures[:] = 0
 
     def _rows(
