@@ -52,9 +52,7 @@ double Damping::error_square(const std::vector<std::unique_ptr<RowTerm>>& terms,
     if (tasked.term == last) continue;
     last = tasked.term;
     const RowTerm& term = *terms[last];
-    double weighed[6];
-    term.weigh(error + term.data().first, weighed);
-    for (int r = 0; r < term.data().rows; ++r) sum += weighed[r] * weighed[r];
+    sum += term.weighed_square(error + term.data().first);
   }
   return sum * rule_.scale * rule_.scale;
 }

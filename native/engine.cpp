@@ -20,6 +20,8 @@ Ending ending_of(Status status) {
       return Ending::solved;
     case Status::max_iter:
       return Ending::max_iter;
+    case Status::time_limit:
+      return Ending::time_limit;
     case Status::infeasible:
       return Ending::infeasible;
     case Status::failed:
@@ -59,9 +61,13 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       z_(constants_.dofs.size()),
       residual_(constants_.dofs.size()),
       gradient_(mujoco.nv),
-      inertia_(constants_.inertia > 0.0 ? static_cast<std::size_t>(mujoco.nv) * mujoco.nv : 0),
       v_previous_(constants_.dofs.size()),
       a_previous_(constants_.dofs.size()) {}
+
+void Engine::add(std::unique_ptr<ForeignRows> term) {
+  foreign_.push_back(term.get());
+  rows_.push_back(std::move(term));
+}
 
 void Engine::adapt(DampingRule rule, std::vector<TaskedRow> rows) {
   damping_.emplace(rule, std::move(rows), size());
@@ -90,13 +96,7 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
                               std::chrono::duration<double>(std::max(seconds, 0.0)));
   }
   evaluate(q);
-  rates(dt);
-  assemble();
-  for (int i = 0; i < size(); ++i) {
-    v_previous_[i] = stack_.v_previous[constants_.dofs[i]];
-    a_previous_[i] = program_.a_previous[constants_.dofs[i]];
-  }
-  outside_ = box_.update(q, v_previous_.data(), a_previous_.data(), dt, program_.lb, program_.ub);
+  assemble(dt);
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
   const bool warm = warm_;
   Ending ending = attempt();
@@ -122,6 +122,19 @@ void Engine::evaluate(const double* q) {
   for (const JointTerm& term : joints_) term.evaluate(mujoco_, stack_);
 }
 
+bool Engine::assemble(double dt) {
+  for (ForeignRows* term : foreign_) term->read();
+  rates(dt);
+  add_terms();
+  for (int i = 0; i < size(); ++i) {
+    v_previous_[i] = stack_.v_previous[constants_.dofs[i]];
+    a_previous_[i] = program_.a_previous[constants_.dofs[i]];
+  }
+  outside_ = box_.update(mujoco_.qpos, v_previous_.data(), a_previous_.data(), dt, program_.lb,
+                         program_.ub);
+  return outside_;
+}
+
 void Engine::rates(double dt) {
   for (const auto& term : rows_) rate_of(term->data(), dt);
   for (const JointTerm& term : joints_) rate_of(term.data, dt);
@@ -142,7 +155,7 @@ void Engine::rate_of(const TermData& term, double dt) {
   for (int i = 0; i < term.rows; ++i) rate[i] += fed[i];
 }
 
-void Engine::assemble() {
+void Engine::add_terms() {
   const int n = size();
   double *H = program_.H, *g = program_.g;
   std::copy(constants_.hessian.begin(), constants_.hessian.end(), H);
@@ -168,10 +181,10 @@ void Engine::add_joints() {
 
 void Engine::add_inertia() {
   mujoco_.call.make_inertia(mujoco_.model, mujoco_.data);
-  mujoco_.call.full_inertia(mujoco_.model, mujoco_.data, inertia_.data());
+  mujoco_.call.full_inertia(mujoco_.model, mujoco_.data, program_.inertia);
   const double share = constants_.unit * constants_.inertia;
   for (int i = 0; i < size(); ++i) {
-    const double* row = inertia_.data() + constants_.dofs[i] * mujoco_.nv;
+    const double* row = program_.inertia + constants_.dofs[i] * mujoco_.nv;
     for (int j = 0; j <= i; ++j) program_.H[i * size() + j] += share * row[constants_.dofs[j]];
   }
 }
@@ -194,7 +207,7 @@ Ending Engine::attempt() {
     y = rows.multiplier;
   }
   if (in_time()) {
-    ending = ending_of(solver_.solve(program));
+    ending = ending_of(limited_ ? solver_.solve(program, end_) : solver_.solve(program));
     iterations_ = solver_.iterations();
     std::copy_n(solver_.v(), n, v_.begin());
     std::copy_n(solver_.bound_multiplier(), n, z_.begin());

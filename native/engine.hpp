@@ -26,6 +26,7 @@ struct ProgramArrays {
   double* ub;
   double* rate;              // ẋ = K clamp(e) + ẋ_ff of all terms
   double* added_damping;     // λ_a²
+  double* inertia;           // M(q) (nv, nv), where A has a share of it
   const double* a_previous;  // (nv,)
 };
 
@@ -59,11 +60,19 @@ class Engine {
   const Stack& stack() const { return stack_; }
 
   void add(std::unique_ptr<RowTerm> term) { rows_.push_back(std::move(term)); }
+  void add(std::unique_ptr<ForeignRows> term);
   void add(JointTerm term) { joints_.push_back(std::move(term)); }
   void adapt(DampingRule rule, std::vector<TaskedRow> rows);
 
   /// Have rows in the program, and commands checked where they lead: both must live as long.
   void limit(Rows& limits, Shortening* shortening);
+
+  /// Run the kinematics at q (nq,) and evaluate the terms, but for those that others evaluate.
+  void evaluate(const double* q);
+
+  /// Write the program at what was evaluated, for a step of dt seconds; return whether a joint is
+  /// outside its range.
+  bool assemble(double dt);
 
   /// Solve a step of dt seconds at q (nq,), within so many seconds from now.
   Ending solve(const double* q, double dt,
@@ -100,10 +109,9 @@ class Engine {
  private:
   using Clock = std::chrono::steady_clock;
 
-  void evaluate(const double* q);
   void rates(double dt);
   void rate_of(const TermData& term, double dt);
-  void assemble();
+  void add_terms();
   void add_joints();
   void add_inertia();
   Ending attempt();
@@ -116,6 +124,7 @@ class Engine {
   Constants constants_;
   Box box_;
   std::vector<std::unique_ptr<RowTerm>> rows_;
+  std::vector<ForeignRows*> foreign_;  // those among them that others evaluate
   std::vector<JointTerm> joints_;
   std::optional<Damping> damping_;
   Rows* limits_ = nullptr;
@@ -131,7 +140,7 @@ class Engine {
   int iterations_ = 0;
   Residuals residuals_{};
   std::vector<double> v_, z_, residual_;
-  std::vector<double> gradient_, inertia_;  // (nv,), (nv, nv)
+  std::vector<double> gradient_;  // (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
 };
 

@@ -61,16 +61,18 @@ class BoundEngine {
   BoundEngine(const std::vector<std::uintptr_t>& functions, std::uintptr_t model,
               std::uintptr_t data, Writing qpos, Reading cdof, Writing error, Writing feedforward,
               Writing rate, Writing jacobian, Reading v_previous, Reading a_previous,
-              std::vector<int> dofs, Numbers hessian, double unit, double inertia, double floor,
+              std::vector<int> dofs, Numbers hessian, double unit, double share_of_inertia,
+              double floor,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                Numbers>& limits,
-              Writing H, Writing g, Writing added_damping, Writing lb, Writing ub, int max_iter)
+              Writing H, Writing g, Writing added_damping, Writing inertia, Writing lb, Writing ub,
+              int max_iter)
       : kept_{nb::cast(qpos),      nb::cast(cdof),       nb::cast(error),     nb::cast(feedforward),
               nb::cast(rate),      nb::cast(jacobian),   nb::cast(v_previous), nb::cast(a_previous),
               nb::cast(H),         nb::cast(g),          nb::cast(added_damping),
-              nb::cast(lb),        nb::cast(ub)} {
+              nb::cast(inertia),   nb::cast(lb),         nb::cast(ub)} {
     const std::size_t n = dofs.size(), nv = v_previous.size();
-    if (functions.size() != 6) throw std::invalid_argument("six functions are needed");
+    if (functions.size() != 7) throw std::invalid_argument("seven functions are needed");
     require(cdof, 6 * nv, "cdof");
     require(a_previous, nv, "a_previous");
     require(feedforward, error.size(), "feedforward");
@@ -78,6 +80,7 @@ class BoundEngine {
     require(hessian, n * n, "hessian");
     require(H, n * n, "H");
     require(added_damping, 1, "added_damping");
+    require(inertia, nv * nv, "inertia");
     for (const Writing* array : {&g, &lb, &ub}) require(*array, n, "the program");
     place_.assign(nv, -1);
     for (std::size_t k = 0; k < n; ++k) place_.at(dofs[k]) = static_cast<int>(k);
@@ -89,7 +92,8 @@ class BoundEngine {
          function<void (*)(const void*, const void*, double*)>(functions[3]),
          function<void (*)(const void*, double*, const double*, double)>(functions[4]),
          function<void (*)(const void*, double*, double, const double*, const double*)>(
-             functions[5])},
+             functions[5]),
+         function<double (*)(const void*, const void*, int, int, double, double*)>(functions[6])},
         reinterpret_cast<const void*>(model),
         reinterpret_cast<void*>(data),
         static_cast<int>(qpos.size()),
@@ -105,9 +109,15 @@ class BoundEngine {
         mujoco,
         Stack{error.data(), feedforward.data(), jacobian.data(), v_previous.data(), place_.data()},
         ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(),
-                      added_damping.data(), a_previous.data()},
-        Constants{std::move(dofs), std::move(hessian), unit, inertia, floor},
+                      added_damping.data(), inertia.data(), a_previous.data()},
+        Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor},
         JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk}, max_iter);
+  }
+
+  void limit(nb::object rows, nb::object shortening) {
+    engine_->limit(rows_of(rows), shortening.is_none() ? nullptr : &shortening_of(shortening));
+    kept_.append(std::move(rows));
+    kept_.append(std::move(shortening));
   }
 
   Engine& operator*() { return *engine_; }
@@ -158,6 +168,8 @@ class BoundEngine {
     add<Coupling>(rows, 1, by_coordinate, by_dof, offset);
   }
 
+  void add_foreign(const RowsArgument& rows) { add<ForeignRows>(rows, rows.data.rows); }
+
   void add_joint_task(const RowsArgument& rows, const std::string& kind) {
     const auto nv = static_cast<std::size_t>(engine_->mujoco().nv);
     if (rows.root.size() != nv && rows.root.size() != nv * nv) {
@@ -165,8 +177,9 @@ class BoundEngine {
     }
     const JointTask task = kind == "posture"    ? JointTask::posture
                            : kind == "velocity" ? JointTask::velocity
-                           : kind == "smooth"
-                               ? JointTask::smooth
+                           : kind == "smooth"   ? JointTask::smooth
+                           : kind == "foreign"
+                               ? JointTask::foreign
                                : throw std::invalid_argument("there is no task " + kind);
     engine_->add(JointTerm{checked(rows, static_cast<int>(nv)), task, rows.root});
   }
@@ -257,6 +270,11 @@ FrameArgument make_frame(Reading position, Reading rotation, Reading robot_com,
           robot_com};
 }
 
+void evaluate(BoundEngine& bound, const Reading& q) {
+  require(q, static_cast<std::size_t>((*bound).mujoco().nq), "q");
+  (*bound).evaluate(q.data());
+}
+
 nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
                 const Writing& solution) {
   Engine& engine = *bound;
@@ -268,7 +286,7 @@ nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
   return nb::make_tuple(name_of(ending), engine.iterations(), kkt.primal, kkt.dual,
-                        kkt.complementarity, engine.outside());
+                        kkt.complementarity, engine.outside(), engine.finished());
 }
 
 }  // namespace
@@ -287,12 +305,11 @@ void bind_engine(nb::module_& m) {
                     std::vector<int>, Numbers, double, double, double,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                      Numbers>&,
-                    Writing, Writing, Writing, Writing, Writing, int>(),
+                    Writing, Writing, Writing, Writing, Writing, Writing, int>(),
            nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a, "cdof"_a, "error"_a,
            "feedforward"_a, "rate"_a, "jacobian"_a, "v_previous"_a, "a_previous"_a, "dofs"_a,
-           "hessian"_a, "unit"_a, "inertia"_a, "floor"_a, "limits"_a, "H"_a, "g"_a,
-           "added_damping"_a, "lb"_a, "ub"_a,
-           "max_iter"_a)
+           "hessian"_a, "unit"_a, "share_of_inertia"_a, "floor"_a, "limits"_a, "H"_a, "g"_a,
+           "added_damping"_a, "inertia"_a, "lb"_a, "ub"_a, "max_iter"_a)
       .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a, "far"_a)
       .def("add_world_frame", &BoundEngine::add_world_frame, "rows"_a, "frame"_a)
       .def("add_relative", &BoundEngine::add_relative, "rows"_a, "frame"_a, "root"_a)
@@ -300,12 +317,20 @@ void bind_engine(nb::module_& m) {
       .def("add_com", &BoundEngine::add_com, "rows"_a, "moved"_a, "parts"_a)
       .def("add_coupling", &BoundEngine::add_coupling, "rows"_a, "by_coordinate"_a, "by_dof"_a,
            "offset"_a)
+      .def("add_foreign", &BoundEngine::add_foreign, "rows"_a)
       .def("add_joint_task", &BoundEngine::add_joint_task, "rows"_a, "kind"_a)
       .def("adapt", &BoundEngine::adapt, "rule"_a, "threshold"_a, "largest"_a, "rank"_a, "scale"_a,
            "rows"_a)
+      .def("evaluate", &evaluate, "q"_a,
+           "Run the kinematics and evaluate the terms, but for the foreign ones.")
+      .def("assemble", [](BoundEngine& bound, double dt) { return (*bound).assemble(dt); }, "dt"_a,
+           "Write the program at what was evaluated; return whether a joint is outside its range.")
+      .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
+           "Have rows in the program, and commands checked where they lead.")
       .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,
            "Solve a step; write v and z, and return how it ended, the iterations, the residuals,\n"
-           "and whether a joint is outside its range.")
+           "whether a joint or a distance is outside its limit, and whether that is all there is\n"
+           "to the step.")
       .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");
 }
 

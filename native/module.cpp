@@ -4,6 +4,9 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "bindings.hpp"
@@ -17,6 +20,8 @@ namespace {
 using Matrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
+
+constexpr double longest = 1e6;  // s: a solve that may take longer has no end
 
 /// Return an array of its own with a copy of n elements.
 Result copied(const double* values, int n) {
@@ -32,6 +37,8 @@ const char* name(rmrc::Status status) {
       return "solved";
     case rmrc::Status::max_iter:
       return "max_iter";
+    case rmrc::Status::time_limit:
+      return "time_limit";
     case rmrc::Status::infeasible:
       return "infeasible";
     case rmrc::Status::failed:
@@ -49,7 +56,7 @@ rmrc::QPSolver make_solver(int size, int rows, int equalities, int max_iter) {
 
 nb::tuple solve(rmrc::QPSolver& solver, const Matrix& H, const Vector& g, const Vector& lb,
                 const Vector& ub, const Matrix& C, const Vector& lo, const Vector& hi,
-                const Matrix& E, const Vector& f) {
+                const Matrix& E, const Vector& f, double seconds) {
   const auto n = static_cast<std::size_t>(solver.size());
   const std::size_t rows = lo.shape(0), equalities = f.shape(0);
   if (H.shape(0) != n || H.shape(1) != n || g.shape(0) != n || lb.shape(0) != n ||
@@ -65,7 +72,13 @@ nb::tuple solve(rmrc::QPSolver& solver, const Matrix& H, const Vector& g, const 
                               ub.data(), C.data(),  lo.data(),
                               hi.data(), E.data(),  f.data(),
                               static_cast<int>(rows), static_cast<int>(equalities)};
-  const rmrc::Status status = solver.solve(program);
+  using Clock = rmrc::QPSolver::Clock;
+  auto end = Clock::time_point::max();
+  if (std::isfinite(seconds)) {
+    const std::chrono::duration<double> left(std::clamp(seconds, 0.0, longest));
+    end = Clock::now() + std::chrono::duration_cast<Clock::duration>(left);
+  }
+  const rmrc::Status status = solver.solve(program, end);
   return nb::make_tuple(copied(solver.v(), solver.size()),
                         copied(solver.bound_multiplier(), solver.size()),
                         copied(solver.row_multiplier(), program.rows),
@@ -93,10 +106,16 @@ NB_MODULE(_native, m) {
            "Allocate for programs of `size` variables and up to so many rows and equalities.\n\n"
            "Raises ValueError for a size out of range.")
       .def("solve", &solve, "H"_a, "g"_a, "lb"_a, "ub"_a, "C"_a, "lo"_a, "hi"_a, "E"_a, "f"_a,
+           "seconds"_a = std::numeric_limits<double>::infinity(),
            "Return v, z, y, w, the changes of the active set, and the name of the status.\n\n"
            "The program is that of `rmrc.qp.program.QP`, the multipliers those of `Solution`.\n"
+           "After so many seconds it is cut off.\n"
            "Raises ValueError where shapes do not fit.")
-      .def("forget", &rmrc::QPSolver::forget, "Start the next solve cold.");
+      .def("forget", &rmrc::QPSolver::forget, "Start the next solve cold.")
+      .def_prop_ro("shape", [](const rmrc::QPSolver& solver) {
+        return nb::make_tuple(solver.size(), solver.max_rows(), solver.max_equalities());
+      }, "The number of variables, and the most rows and equalities.");
   rmrc::bind_engine(m);
+  rmrc::bind_rows(m);
   rmrc::bind_stepper(m);
 }

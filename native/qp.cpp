@@ -26,6 +26,8 @@ constexpr double least_rate = 1e-13;
 // Residual of the working set's equations, relative to their terms, that needs no refinement.
 constexpr double resolution = 16.0 * std::numeric_limits<double>::epsilon();
 constexpr int refinements = 5;
+// Changes of the working set between two looks at the clock, less one: a power of two, less one.
+constexpr int between_looks = 31;
 
 double sign_of(Side side) { return side == Side::lower ? -1.0 : 1.0; }
 
@@ -93,24 +95,23 @@ void QPSolver::forget() {
   std::fill(row_side_.begin(), row_side_.end(), Side::none);
 }
 
-Status QPSolver::solve(const Program& program) {
+Status QPSolver::solve(const Program& program, Clock::time_point end) {
   program_ = &program;
+  end_ = end;
   iterations_ = 0;
   find_rows_again();
   Status status = Status::failed;
   if (finite()) {
     status = read_limits() ? run() : Status::infeasible;
-    if (status != Status::solved && warm_) {
+    if (status != Status::solved && status != Status::time_limit && warm_) {
       // What rounding did on the way from an old working set says nothing about the program.
       forget();
       if (read_limits()) status = run();
     }
   }
-  warm_ = status == Status::solved;
-  if (!warm_) {
-    forget();
-    rest();
-  }
+  warm_ = status == Status::solved || status == Status::time_limit;
+  if (!warm_) forget();
+  if (status != Status::solved) rest();
   return status;
 }
 
@@ -133,6 +134,12 @@ void QPSolver::find_rows_again() {
   }
   rows_ = p.rows;
   equalities_ = p.equalities;
+}
+
+// Whether the time is not over; it is looked at now and then.
+bool QPSolver::in_time() const {
+  return (iterations_ & between_looks) != between_looks || end_ == Clock::time_point::max() ||
+         Clock::now() < end_;
 }
 
 // Whether all numbers are finite, and no limit is NaN.
@@ -177,7 +184,7 @@ Status QPSolver::run() {
       const Status status = enforce(limit);
       if (status == Status::solved) {
         settled = false;
-      } else if (settled || status == Status::max_iter) {
+      } else if (settled || status == Status::max_iter || status == Status::time_limit) {
         return status;
       } else {
         // What the steps before have added up to is no proof of a contradiction.
@@ -392,6 +399,7 @@ bool QPSolver::most_violated(double tolerance, Limit& found) const {
 Status QPSolver::enforce(const Limit& limit) {
   double multiplier = 0.0;
   while (iterations_ < max_iterations_) {
+    if (!in_time()) return Status::time_limit;
     const bool independent = find_direction(limit);
     const double excess = std::max(0.0, violation(limit));
     const double whole = independent ? excess / curvature_ : infinity;

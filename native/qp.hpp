@@ -1,6 +1,7 @@
 // The quadratic program of a step, and a dual active-set solver for it.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <vector>
 
@@ -31,7 +32,7 @@ struct Program {
 };
 
 /// How a solve ended: as in rmrc.qp.program.SolveStatus.
-enum class Status { solved, max_iter, infeasible, failed };
+enum class Status { solved, max_iter, time_limit, infeasible, failed };
 
 /// At which of its limits a bound or a row is held.
 enum class Side : std::int8_t {
@@ -52,10 +53,13 @@ class QPSolver {
   /// Allocate for programs of `size` variables, up to `max_rows` rows and `max_equalities`.
   QPSolver(int size, int max_rows, int max_equalities, int max_iterations);
 
-  /// Solve a program, whose arrays must hold for as long as the call.
+  using Clock = std::chrono::steady_clock;
+
+  /// Solve a program, whose arrays must hold for as long as the call, before the clock says `end`.
   ///
-  /// After any answer but `solved`, v and the multipliers are 0 and the next solve starts cold.
-  Status solve(const Program& program);
+  /// After any answer but `solved`, v and the multipliers are 0. The next solve then starts cold,
+  /// but for one that had no time: it goes on from where this one got to.
+  Status solve(const Program& program, Clock::time_point end = Clock::time_point::max());
 
   /// Forget the active set: the next solve starts cold.
   void forget();
@@ -91,6 +95,7 @@ class QPSolver {
 
   bool finite() const;
   void find_rows_again();
+  bool in_time() const;
   bool read_limits();
   Status run();
   Status finish();
@@ -132,6 +137,7 @@ class QPSolver {
   int rows_ = 0, equalities_ = 0;
   int iterations_ = 0;
   bool warm_ = false;
+  Clock::time_point end_;
 
   // The working set: the free variables in the order of the factor, the bounds held, the rows held.
   std::vector<int> free_, held_, active_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "kernels.hpp"
@@ -52,6 +53,12 @@ std::vector<int> dofs_of(const std::vector<MovedMass>& moved) {
   return dofs;
 }
 
+std::vector<int> all_dofs(int nv) {
+  std::vector<int> dofs(nv);
+  std::iota(dofs.begin(), dofs.end(), 0);
+  return dofs;
+}
+
 std::vector<int> nonzero(const std::vector<double>& values) {
   std::vector<int> found;
   for (std::size_t i = 0; i < values.size(); ++i) {
@@ -82,7 +89,8 @@ RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
       mujoco_(mujoco),
       stack_(stack),
       dofs_(std::move(dofs)),
-      root_(std::move(root)) {
+      root_(std::move(root)),
+      counts_(std::any_of(root_.begin(), root_.end(), [](double value) { return value != 0.0; })) {
   std::stable_partition(dofs_.begin(), dofs_.end(), [&](int dof) { return stack.place[dof] >= 0; });
   for (const int dof : dofs_) {
     if (stack.place[dof] >= 0) columns_.push_back(stack.place[dof]);
@@ -91,6 +99,7 @@ RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
   stride_ = (static_cast<int>(dofs_.size()) + 3) / 4 * 4;
   jacobian_.resize(static_cast<std::size_t>(data_.rows) * stride_);
   weighted_.resize(jacobian_.size());
+  wanted_.resize(data_.rows);
   world_.resize(6 * static_cast<std::size_t>(stride_));
 }
 
@@ -102,6 +111,11 @@ void RowTerm::evaluate() {
     const double* own = jacobian_.data() + r * stride_;
     for (int k = 0; k < count; ++k) out[dofs_[k]] = own[k];
   }
+  weigh();
+}
+
+void RowTerm::weigh() {
+  const int rows = data_.rows;
   const bool full = static_cast<int>(root_.size()) > rows;
   for (int r = 0; r < rows; ++r) {
     double* out = weighted_.data() + r * stride_;
@@ -117,30 +131,34 @@ void RowTerm::evaluate() {
   }
 }
 
-void RowTerm::weigh(const double* x, double* out) const {
+// Return element r of S x.
+double RowTerm::weighed(int r, const double* x) const {
   const int rows = data_.rows;
-  for (int r = 0; r < rows; ++r) {
-    out[r] = static_cast<int>(root_.size()) > rows ? dot(root_.data() + r * rows, x, rows)
-                                                   : root_[r] * x[r];
+  return static_cast<int>(root_.size()) > rows ? dot(root_.data() + r * rows, x, rows)
+                                               : root_[r] * x[r];
+}
+
+double RowTerm::weighed_square(const double* x) const {
+  double sum = 0.0;
+  for (int r = 0; r < data_.rows; ++r) {
+    const double value = weighed(r, x);
+    sum += value * value;
   }
+  return sum;
 }
 
 void RowTerm::add_to(double* H, double* g, int n, const double* rate) {
-  double wanted[6];
-  weigh(rate + data_.first, wanted);
-  switch (data_.rows) {
-    case 6:
-      return add_rows<6>(H, g, n, wanted);
-    case 3:
-      return add_rows<3>(H, g, n, wanted);
-    default:
-      return add_rows<1>(H, g, n, wanted);
-  }
+  if (!counts_) return;
+  for (int r = 0; r < data_.rows; ++r) wanted_[r] = weighed(r, rate + data_.first);
+  int r = 0;
+  for (; r + 6 <= data_.rows; r += 6) add_rows<6>(H, g, n, r);
+  for (; r + 3 <= data_.rows; r += 3) add_rows<3>(H, g, n, r);
+  for (; r < data_.rows; ++r) add_rows<1>(H, g, n, r);
 }
 
 template <int rows>
-void RowTerm::add_rows(double* H, double* g, int n, const double* wanted) const {
-  const double* W = weighted_.data();
+void RowTerm::add_rows(double* H, double* g, int n, int first) const {
+  const double *W = weighted_.data() + first * stride_, *wanted = wanted_.data() + first;
   for (int i = 0; i < inside_; ++i) {
     double own[rows], pull = 0.0;
     for (int r = 0; r < rows; ++r) {
@@ -445,6 +463,20 @@ void Coupling::differentiate() {
   error()[0] = offset_ - dot(by_coordinate_.data(), mujoco_.qpos, mujoco_.nq);
 }
 
+ForeignRows::ForeignRows(TermData data, std::vector<double> root, const MuJoCo& mujoco,
+                         const Stack& stack)
+    : RowTerm(std::move(data), std::move(root), all_dofs(mujoco.nv), mujoco, stack) {}
+
+void ForeignRows::read() {
+  const int count = static_cast<int>(dofs_.size());
+  for (int r = 0; r < data_.rows; ++r) {
+    const double* given = stack_.jacobian + (data_.first + r) * mujoco_.nv;
+    double* own = jacobian_.data() + r * stride_;
+    for (int k = 0; k < count; ++k) own[k] = given[dofs_[k]];
+  }
+  weigh();
+}
+
 void JointTerm::evaluate(const MuJoCo& mujoco, const Stack& stack) const {
   double *error = stack.error + data.first, *feedforward = stack.feedforward + data.first;
   switch (task) {
@@ -457,6 +489,8 @@ void JointTerm::evaluate(const MuJoCo& mujoco, const Stack& stack) const {
       break;
     case JointTask::smooth:
       std::copy_n(stack.v_previous, mujoco.nv, feedforward);
+      break;
+    case JointTask::foreign:
       break;
   }
 }

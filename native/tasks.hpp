@@ -53,7 +53,7 @@ class RowTerm {
   RowTerm& operator=(const RowTerm&) = delete;
 
   /// Write e, ẋ_ff and J at the present kinematics, and W = S J.
-  void evaluate();
+  virtual void evaluate();
 
   /// H ← H + WᵀW, its lower triangle, and g ← g − Wᵀ S ẋ, of a program of n variables.
   void add_to(double* H, double* g, int n, const double* rate);
@@ -61,8 +61,8 @@ class RowTerm {
   /// Copy row r of W (n,) into a row of zeros.
   void copy_row(int r, double* row) const;
 
-  /// out = S x (rows,).
-  void weigh(const double* x, double* out) const;
+  /// Return xᵀBx (rows,).
+  double weighed_square(const double* x) const;
 
   /// out = J v (rows,) for v of the program (n,).
   void multiply(const double* v, double* out) const;
@@ -80,6 +80,9 @@ class RowTerm {
   /// J ← T J_w, with J_w the frame's Jacobian along the world's axes and T (rows, 6).
   void turn(const Frame& frame, const double* T);
 
+  /// W = S J.
+  void weigh();
+
   double* error() { return stack_.error + data_.first; }
   const double* error() const { return stack_.error + data_.first; }
   double* feedforward() { return stack_.feedforward + data_.first; }
@@ -94,12 +97,14 @@ class RowTerm {
 
  private:
   template <int rows>
-  void add_rows(double* H, double* g, int n, const double* wanted) const;
+  void add_rows(double* H, double* g, int n, int first) const;
+  double weighed(int r, const double* x) const;
 
   std::vector<double> root_;
+  bool counts_;               // whether anything has a weight
   std::vector<int> columns_;  // in the program, in ascending order
   int inside_;                // columns that are in the program
-  std::vector<double> weighted_;
+  std::vector<double> weighted_, wanted_;  // W, and S ẋ
   std::vector<double> world_;  // (6, stride)
 };
 
@@ -194,8 +199,22 @@ class Coupling final : public RowTerm {
   double offset_;
 };
 
-/// What a term on the joints themselves asks for.
-enum class JointTask { posture, velocity, smooth };
+/// Rows whose e, ẋ_ff and J others write into the stack, before `read`.
+class ForeignRows final : public RowTerm {
+ public:
+  ForeignRows(TermData data, std::vector<double> root, const MuJoCo& mujoco, const Stack& stack);
+
+  void evaluate() override {}
+
+  /// Take J over from the stack, and weigh it.
+  void read();
+
+ private:
+  void differentiate() override {}
+};
+
+/// What a term on the joints themselves asks for; e and ẋ_ff of a foreign one are written by others.
+enum class JointTask { posture, velocity, smooth, foreign };
 
 /// A term whose Jacobian is the identity; its weight is in the constant part of H.
 struct JointTerm {

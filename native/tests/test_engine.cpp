@@ -92,6 +92,7 @@ struct Fixture {
   double error[error_size] = {}, feedforward[error_size] = {}, rate[error_size] = {};
   std::vector<double> jacobian = std::vector<double>(rows * joints);
   std::vector<double> H = std::vector<double>(joints * joints);
+  std::vector<double> inertia = std::vector<double>(joints * joints);
   double g[joints], lb[joints], ub[joints], v_previous[joints] = {}, a_previous[joints] = {};
   double added = 0.0, q[joints], v[joints] = {};
   int place[joints];
@@ -115,7 +116,7 @@ struct Fixture {
     const auto every = [](double value) { return std::vector<double>(joints, value); };
     engine = std::make_unique<rmrc::Engine>(
         mujoco, rmrc::Stack{error, feedforward, jacobian.data(), v_previous, place},
-        rmrc::ProgramArrays{H.data(), g, lb, ub, rate, &added, a_previous},
+        rmrc::ProgramArrays{H.data(), g, lb, ub, rate, &added, inertia.data(), a_previous},
         rmrc::Constants{{0, 1, 2, 3, 4}, constant, 1.0, 1e-3, 1e-4},
         rmrc::JointLimits{{0, 1, 2, 3, 4}, every(-2.0), every(2.0), 0.95, every(fastest),
                           every(strongest), every(500.0)},

@@ -24,8 +24,11 @@ class QPSolver:
         hi: Array,
         E: Array,
         f: Array,
+        seconds: float = ...,
     ) -> tuple[Array, Array, Array, Array, int, str]: ...
     def forget(self) -> None: ...
+    @property
+    def shape(self) -> tuple[int, int, int]: ...
 
 class TermRows:
     """What all terms of an engine have."""
@@ -69,7 +72,7 @@ class Engine:
         dofs: list[int],
         hessian: list[float],
         unit: float,
-        inertia: float,
+        share_of_inertia: float,
         floor: float,
         limits: tuple[
             list[int], list[float], list[float], float, list[float], list[float], list[float]
@@ -77,6 +80,7 @@ class Engine:
         H: Array,
         g: Array,
         added_damping: Array,
+        inertia: Array,
         lb: Array,
         ub: Array,
         max_iter: int,
@@ -94,6 +98,7 @@ class Engine:
     def add_coupling(
         self, rows: TermRows, by_coordinate: list[float], by_dof: list[float], offset: float
     ) -> None: ...
+    def add_foreign(self, rows: TermRows) -> None: ...
     def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
     def adapt(
         self,
@@ -104,6 +109,8 @@ class Engine:
         scale: float,
         rows: list[tuple[int, int]],
     ) -> None: ...
+    def evaluate(self, q: Array) -> None: ...
+    def assemble(self, dt: float) -> bool: ...
     def solve(
         self, q: Array, dt: float, seconds: float, solution: Array
     ) -> tuple[str, int, float, float, float, bool]: ...

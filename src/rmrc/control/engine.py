@@ -16,6 +16,7 @@ from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
 from rmrc.qp.cascade import WHOLE, Cascade
 from rmrc.qp.certificate import Certificate
+from rmrc.qp.equalities import Equalities
 from rmrc.qp.program import QP, Solution, SolveStatus
 from rmrc.qp.relax import INCONSISTENT, least_violation
 from rmrc.qp.rows import Rows
@@ -64,8 +65,8 @@ class PythonEngine:
         """What solves the programs."""
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
-        self.rows = Rows(problem, self.evaluation)
-        self._shortening = Shortening(problem) if problem.barriers else None
+        self.rows = self._new_rows()
+        self._shortening = self._new_shortening() if problem.barriers else None
         self._correction = Correction(problem) if problem.barriers else None
         self._solvers: dict[tuple[int, int, bool], _Solver] = {}
         self._solver = self._solver_of(self.assembly.qp)
@@ -85,6 +86,12 @@ class PythonEngine:
         """Whether a task that preserves its direction ran slower than asked at the last step."""
         self.share = 1.0
         """What the check at the next configuration left of the last command, from the brake on."""
+
+    def _new_rows(self) -> Rows:
+        return Rows(self.problem, self.evaluation)
+
+    def _new_shortening(self) -> Shortening:
+        return Shortening(self.problem)
 
     def _new_backend(self) -> Backend:
         solver = self.problem.config.solver
@@ -131,7 +138,10 @@ class PythonEngine:
         """
         self.outside = self.prepare(q, v_previous, dt)
         self.scaled = False
-        solution = self._best()
+        return self._finished(self._best(), dt)
+
+    def _finished(self, solution: Solution, dt: float) -> Solution:
+        """Return a solution, or what the rungs below have; shortened where it leads too far."""
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
         if self._shortening is not None and self.rows.blocks:
@@ -145,17 +155,20 @@ class PythonEngine:
 
         Return whether a joint is outside its range, or a distance below its limit.
         """
-        evaluation, assembly = self.evaluation, self.assembly
-        evaluation.v_previous[:] = v_previous
-        evaluation.update(q)
-        evaluation.evaluate()
-        outside = assembly.assemble(q, dt)
+        assembly = self.assembly
+        self.evaluation.v_previous[:] = v_previous
+        outside = self._assemble(q, dt)
         if self._box_alone:
             return outside
         equalities = assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
-        rows = self.rows
-        rows.update(assembly.box, assembly.rate, dt)
+        self.rows.update(assembly.qp, assembly.rate, dt)
+        self._take_rows(equalities)
+        return outside or self.rows.passed
+
+    def _take_rows(self, equalities: Equalities | None = None) -> None:
+        """Write the rows, and equalities if there are any, into the program."""
+        assembly, rows = self.assembly, self.rows
         count = 0 if equalities is None else equalities.right.size
         if (rows.count, count) != (assembly.qp.lo.size, assembly.qp.f.size):
             assembly.resize(rows.count, count)
@@ -165,7 +178,12 @@ class PythonEngine:
         if equalities is not None:
             qp.E[:], qp.f[:] = equalities.matrix, equalities.right
         self._solver = self._solver_of(qp)
-        return outside or rows.passed
+
+    def _assemble(self, q: Array, dt: float) -> bool:
+        """Evaluate the terms and write the cost and the box; return whether a joint is outside."""
+        self.evaluation.update(q)
+        self.evaluation.evaluate()
+        return self.assembly.assemble(q, dt)
 
     def _descend_ladder(self, failed: Solution) -> Solution:
         """Return the solution of the first rung that holds, from a cold start on."""

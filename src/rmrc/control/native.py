@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from rmrc import _native
 from rmrc.control.engine import PythonEngine
+from rmrc.control.native_rows import NativeRows, NativeShortening
 from rmrc.control.native_steps import Layout, Stepper, build_stepper
 from rmrc.errors import SolverError
 from rmrc.problem.frames import FrameHandle
-from rmrc.problem.limits.ball import BallRanges
 from rmrc.problem.limits.extents import dofs_of_bodies
-from rmrc.problem.limits.workspace import WorkspacePlanes
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.axis_align import AxisAlignTerm
 from rmrc.problem.tasks.base import Term
@@ -26,14 +25,14 @@ from rmrc.problem.tasks.centering import CenteringTerm
 from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.coupling import CouplingTerm
 from rmrc.problem.tasks.frame import FARTHEST, FrameTerm
-from rmrc.problem.tasks.freeze import FreezeTerm
-from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
 from rmrc.problem.tasks.look_at import LookAtTerm
 from rmrc.problem.tasks.posture import PostureTerm
 from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
 from rmrc.problem.tasks.smooth import SmoothTerm
 from rmrc.problem.tasks.velocity import VelocityTerm
 from rmrc.qp.assemble import square_root
+from rmrc.qp.backends import Backend, create
+from rmrc.qp.backends.native import MOST_CHANGES, Native
 from rmrc.qp.program import KKT, Solution, SolveStatus
 
 Array = NDArray[np.float64]
@@ -45,15 +44,12 @@ FUNCTIONS = (
     "mj_fullM",
     "mj_integratePos",
     "mj_differentiatePos",
+    "mj_geomDistance",
 )
 """What the step calls of libmujoco, in the order in which the extension takes the addresses."""
-MOST_CHANGES = 10_000
-"""Changes of the active set that a solve may use where the configuration says nothing."""
-
 SINGULAR = 1e-13
 """Share of the largest weight below which a weight of all motions is lost in rounding."""
 
-_ROWLESS = (FreezeTerm, KineticEnergyTerm)
 _JOINT = {
     PostureTerm: "posture",
     CenteringTerm: "posture",
@@ -91,27 +87,13 @@ def lacking(problem: Problem) -> list[str]:
     config, found = problem.config, []
     if config.method != "qp":
         found.append(f"method {config.method}")
-    for term in problem.terms:
-        if not isinstance(term, (*_ROWLESS, *_ROWS)) and type(term) not in _JOINT:
-            found.append(f"task '{term.name}' ({term.type})")
-        elif term.hard:
-            found.append(f"hard task '{term.name}'")
-        elif term.preserve:
-            found.append(f"task '{term.name}' that preserves its direction")
-    if problem.strict:
-        found.append("strict levels")
-    kinds = {BallRanges: "ranges of ball joints", WorkspacePlanes: "workspace limits"}
-    found += [kinds.get(type(limit), "collision limits") for limit in problem.barriers]
-    found += ["speed limits"] * bool(problem.speeds)
-    found += [f"{type(task).__name__} of mink's" for task in problem.mink_tasks]
-    found += [f"{type(limit).__name__} of mink's" for limit in problem.mink_limits]
     if not _definite(problem):
         found.append("programs without damping")
     if config.solver.backend != "daqp":
         found.append(f"backend {config.solver.backend}")
     if config.solver.tolerance is not None:
         found.append("a tolerance of the backend's")
-    return list(dict.fromkeys(found))
+    return found
 
 
 def _definite(problem: Problem) -> bool:
@@ -139,6 +121,8 @@ class NativeEngine(PythonEngine):
     """
 
     name = "native"
+    rows: NativeRows
+    _shortening: NativeShortening | None
 
     def __init__(self, problem: Problem):
         super().__init__(problem)
@@ -162,7 +146,7 @@ class NativeEngine(PythonEngine):
             dofs=problem.dofs.tolist(),
             hessian=assembly.constant.ravel().tolist(),
             unit=assembly.unit,
-            inertia=problem.inertia,
+            share_of_inertia=problem.inertia,
             floor=problem.damping**2,
             limits=(
                 box.coordinate.tolist(),
@@ -176,6 +160,7 @@ class NativeEngine(PythonEngine):
             H=qp.H,
             g=qp.g,
             added_damping=assembly.adaptive.added,
+            inertia=assembly.inertia,
             lb=qp.lb,
             ub=qp.ub,
             max_iter=problem.config.solver.max_iter or MOST_CHANGES,
@@ -183,14 +168,38 @@ class NativeEngine(PythonEngine):
         for term in evaluation.terms:
             self._add(term)
         self._adapt()
+        self._foreign = [
+            evaluate
+            for kind, evaluate in evaluation.evaluators.items()
+            if kind not in _JOINT and not issubclass(kind, _ROWS)
+        ]
+        foreign = self._foreign or problem.mink_tasks or problem.mink_limits
+        hard = any(term.hard for term in evaluation.terms)
+        self._alone = not (foreign or hard or self._cascade)
+        if self.rows.any:
+            self._connect()
         self.layout = Layout(self)
         """Where the numbers of a step stand in what the extension has noted of it."""
+
+    def _new_rows(self) -> NativeRows:
+        return NativeRows(self.problem, self.evaluation)
+
+    def _new_shortening(self) -> NativeShortening:
+        return NativeShortening(self.problem)
+
+    def _connect(self) -> None:
+        """Hand the rows to the extension, and what checks the commands where they lead."""
+        rows, shortening = self.rows, self._shortening
+        rows.connect(self._native, self.assembly.rate)
+        if shortening is not None:
+            shortening.connect(rows, self.evaluation.obstacle_twist)
+        self._native.limit(rows.native, None if shortening is None else shortening.native)
 
     def _add(self, term: Term) -> None:
         """Hand a term to the extension."""
         native, weight = self._native, self.assembly.leveled(term)
-        if type(term) in _JOINT:
-            native.add_joint_task(self._rows_of(term, weight), _JOINT[type(term)])
+        if term.joint:
+            native.add_joint_task(self._rows_of(term, weight), _JOINT.get(type(term), "foreign"))
             return
         rows = self._rows_of(term, square_root(weight))
         match term:
@@ -211,7 +220,7 @@ class NativeEngine(PythonEngine):
                 by_coordinate, by_dof = term.by_coordinate.tolist(), term.by_dof.tolist()
                 native.add_coupling(rows, by_coordinate, by_dof, term.offset)
             case _:
-                raise SolverError(f"the native engine has no task of type {term.type}")
+                native.add_foreign(rows)
 
     def _rows_of(self, term: Term, root: Array) -> _native.TermRows:
         """Return what all terms have: `root` is S, or B of a term on the joints themselves."""
@@ -233,8 +242,7 @@ class NativeEngine(PythonEngine):
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:
         model, data = self.problem.model, self.evaluation.data
-        owners = {"site": model.site_bodyid, "geom": model.geom_bodyid}
-        body = frame.id if frame.kind == "body" else int(owners[frame.kind][frame.id])
+        body = frame.body(model)
         position, rotation = frame.views(data)
         com = data.subtree_com[model.body_rootid[body]]
         return _native.Frame(position, rotation, com, np.flatnonzero(self._moves[body]).tolist())
@@ -284,6 +292,7 @@ class NativeEngine(PythonEngine):
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""
         self._native.forget()
+        super().reset()
 
     def stepper(self, q: Array, v: Array) -> Stepper | None:
         """Return what takes a controller's common steps in C++; None where every step is rare.
@@ -293,6 +302,8 @@ class NativeEngine(PythonEngine):
             v: Its last command (nv,), and the next.
         """
         problem = self.problem
+        if not (self._alone and self._box_alone):
+            return None
         timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
         if timed or problem.config.previous == "measured" or np.isfinite(problem.box.jerk).any():
             return None
@@ -300,8 +311,32 @@ class NativeEngine(PythonEngine):
 
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, or the brake."""
+        if not self._alone:
+            return super().solve(q, v_previous, dt)
         self.evaluation.v_previous[:] = v_previous
         seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
-        status, iterations, *kkt, self.outside = self._native.solve(q, dt, seconds, both)
-        return Solution(both[0], both[1], _NONE, _NONE, iterations, SolveStatus(status), KKT(*kkt))
+        status, iterations, *kkt, self.outside, done = self._native.solve(q, dt, seconds, both)
+        y = _NONE
+        if not self._box_alone:
+            y = self.rows.read()
+            self._take_rows()
+            self.relaxed, self.share = False, 1.0
+        kkt = KKT(*kkt)
+        solution = Solution(both[0], both[1], y, _NONE, iterations, SolveStatus(status), kkt)
+        return solution if done else self._finished(solution, dt)
+
+    def _assemble(self, q: Array, dt: float) -> bool:
+        self._native.evaluate(q)
+        self.evaluation.fill_constraints()
+        for evaluate in self._foreign:
+            evaluate()
+        outside = self._native.assemble(dt)
+        self.assembly.add_mink_tasks(dt)
+        return outside
+
+    def _new_backend(self) -> Backend:
+        return Native(self.problem.config.solver.max_iter)
+
+    def _other_backend(self) -> Backend:
+        return create("daqp", max_iter=self.problem.config.solver.max_iter)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.base import Evaluator, Term
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,10 @@ class Evaluation:
         """The tasks' places in `twists` and `moving`."""
         self.moving = bytearray(len(names))
         """1 for each task whose target moves, the only ones with a feed-forward."""
-        self._evaluators = [type(group[0]).evaluator(group, self) for group in groups]
+        self.evaluators: dict[type[Term], Evaluator] = {
+            kind: kind.evaluator(group, self) for kind, group in zip(classes, groups, strict=True)
+        }
+        """What evaluates the terms of each class."""
 
     def rows_of(self, terms: Sequence[Term]) -> slice:
         """Return the rows of e that a run of neighbouring terms fills."""
@@ -90,8 +93,11 @@ class Evaluation:
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
+        self.fill_constraints()
+
+    def fill_constraints(self) -> None:
+        """Fill what tasks of mink's read of the model's equalities, after the kinematics."""
         if self._mink and self.model.neq:
-            # Tasks of mink's on the model's equalities read the rows that these fill.
             mujoco.mj_tendon(self.model, self.data)
             mujoco.mj_makeConstraint(self.model, self.data)
 
@@ -126,7 +132,7 @@ class Evaluation:
 
     def evaluate(self) -> None:
         """Evaluate every term at the present kinematics and targets."""
-        for evaluate in self._evaluators:
+        for evaluate in self.evaluators.values():
             evaluate()
 
     def stop(self, name: str) -> None:

@@ -88,7 +88,8 @@ class Assembly:
         ]
         hard = len(soft) < len(evaluation.terms)
         self._equalities = Equalities(problem, evaluation) if hard else None
-        self._inertia = np.empty((problem.model.nv, problem.model.nv))
+        self.inertia = np.empty((problem.model.nv, problem.model.nv))
+        """M(q) (nv, nv) at the last assembly, where A has a share of it."""
         self._gradient = np.empty(problem.model.nv)
 
     def _unit(self) -> float:
@@ -142,6 +143,13 @@ class Assembly:
             self._weighted[part] = root @ self._weighted[part]
         return self._weighted
 
+    def _weigh_rate(self) -> Array:
+        """Return −S ẋ at the present ẋ, in a buffer kept."""
+        unwanted = np.multiply(self._minus_scale, self._row_rate, out=self._unwanted)
+        for part, root in self._roots:
+            unwanted[part] = root @ unwanted[part]
+        return unwanted
+
     def _constant_hessian(self) -> Array:
         """Return A + λ₀²I + Σ B of the joint terms (n, n), what no configuration changes."""
         problem = self._problem
@@ -154,8 +162,7 @@ class Assembly:
     def assemble(self, q: Array, dt: float) -> bool:
         """Write the program at q (nq,) for a step of dt; return whether a joint is outside."""
         self._assemble_objective(dt)
-        if self._problem.mink_tasks:
-            self._add_mink_tasks(dt)
+        self.add_mink_tasks(dt)
         v_previous, a_previous = self._evaluation.v_previous, self._evaluation.a_previous
         if not self._all:
             v_previous, a_previous = v_previous[self._dofs], a_previous[self._dofs]
@@ -169,7 +176,6 @@ class Assembly:
             # A gain above 1/dt would step past the target.
             np.minimum(self._gain, 1.0 / dt, out=self._capped)
             self._gain_dt = dt
-        weighted, unwanted = self._weigh(), self._unwanted  # W = S J
         np.multiply(self._capped, evaluation.error, out=self.rate)  # K e
         for error, rate, longest in self._clamps:
             length = math.sqrt(error.dot(error))
@@ -177,9 +183,7 @@ class Assembly:
                 rate *= longest / length
         if self._fed or 1 in evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
-        np.multiply(self._minus_scale, self._row_rate, out=unwanted)  # −S ẋ
-        for part, root in self._roots:
-            unwanted[part] = root @ unwanted[part]
+        weighted, unwanted = self._weigh(), self._weigh_rate()
         columns = weighted if self._all else weighted[:, self._dofs]
         columns.T.dot(columns, qp.H)  # Σ JᵀBJ
         qp.H += self.constant  # + A + λ₀²I + Σ B
@@ -206,11 +210,11 @@ class Assembly:
         """Add the share of M(q) in the metric."""
         evaluation = self._evaluation
         mujoco.mj_makeM(evaluation.model, evaluation.data)
-        mujoco.mj_fullM(evaluation.model, evaluation.data, self._inertia)
-        matrix = self._inertia if self._all else self._inertia[np.ix_(self._dofs, self._dofs)]
+        mujoco.mj_fullM(evaluation.model, evaluation.data, self.inertia)
+        matrix = self.inertia if self._all else self.inertia[np.ix_(self._dofs, self._dofs)]
         self.qp.H += self.unit * self._problem.inertia * matrix
 
-    def _add_mink_tasks(self, dt: float) -> None:
+    def add_mink_tasks(self, dt: float) -> None:
         """Add mink's tasks, whose variable is Δq = v dt: divided by dt², W Δq ≈ r is W v ≈ r/dt."""
         qp, dofs = self.qp, self._dofs
         configuration = self._evaluation.configuration
@@ -231,7 +235,7 @@ class Assembly:
         chosen = np.ix_(self._dofs, self._dofs)
         metric = self._problem.metric[chosen]
         if self._problem.inertia:
-            metric = metric + self._problem.inertia * self._inertia[chosen]
+            metric = metric + self._problem.inertia * self.inertia[chosen]
         return metric
 
     def levels(self) -> list[Level]:
@@ -243,12 +247,14 @@ class Assembly:
         damping = max(self.unit * self.adaptive.square, LEAST_DAMPING) * np.eye(n)
         metric = self.unit * self.metric()
         metric = metric + damping if metric.any() else np.eye(n)
+        weighted, wanted = self._weigh(), -self._weigh_rate()
         return [
-            *(self._level(level, damping) for level in self._leveled_terms),
+            *(self._level(level, weighted, wanted, damping) for level in self._leveled_terms),
             Level(np.zeros((0, n)), np.zeros(0), metric),
         ]
 
-    def _level(self, terms: list[Term], damping: Array) -> Level:
+    def _level(self, terms: list[Term], weighted: Array, wanted: Array, damping: Array) -> Level:
+        """Return what terms ask for, out of W and S ẋ of all of them."""
         rows, rates, directions = [], [], []
         for term in terms:
             part = self._evaluation.rows_of([term])
@@ -259,8 +265,8 @@ class Assembly:
                 rows.append(root[:, self._dofs])
                 rates.append(root @ self.rate[part])
                 continue
-            rows.append(self._weighted[part][:, self._dofs])
-            rates.append(-self._unwanted[part])
+            rows.append(weighted[part][:, self._dofs])
+            rates.append(wanted[part])
             if term.preserve:
                 weight = term.weight
                 weighed = (weight if weight.ndim == 1 else np.diagonal(weight)) > 0.0
@@ -300,11 +306,9 @@ class Assembly:
     def resize(self, rows: int, equalities: int) -> None:
         """Give the program another number of rows and equalities: one kept from an earlier step.
 
-        What is written already, of the cost and of the box, goes over.
+        All of them have the same cost and the same box.
         """
-        old = self.qp
         shape = (rows, equalities)
         if shape not in self._programs:
-            self._programs[shape] = QP(self._dofs.size, *shape)
-        self.qp = new = self._programs[shape]
-        new.H[:], new.g[:], new.lb[:], new.ub[:] = old.H, old.g, old.lb, old.ub
+            self._programs[shape] = QP(self._dofs.size, *shape, cost=self.qp)
+        self.qp = self._programs[shape]

@@ -60,16 +60,22 @@ class QP:
 
     With n = `size`: H (n, n) symmetric positive definite, g, lb, ub (n,), C (rows, n), lo, hi
     (rows,), E (equalities, n), f (equalities,). A limit that is absent is ±inf. The buffers are
-    written in place (`qp.H[:] = …`), never replaced: a backend keeps pointers into them.
+    written in place (`qp.H[:] = …`), never replaced: a backend keeps pointers into them. `cost` is
+    a program of the same size whose cost and bounds this one has, in the same buffers.
     """
 
     __slots__ = ("C", "E", "H", "_limits", "_numbers", "f", "g", "hi", "lb", "lo", "ub")
 
-    def __init__(self, size: int, rows: int = 0, equalities: int = 0) -> None:
-        self.H = np.zeros((size, size))
-        self.g = np.zeros(size)
-        self.lb = np.full(size, -inf)
-        self.ub = np.full(size, inf)
+    def __init__(
+        self, size: int, rows: int = 0, equalities: int = 0, *, cost: "QP | None" = None
+    ) -> None:
+        if cost is None:
+            self.H = np.zeros((size, size))
+            self.g = np.zeros(size)
+            self.lb = np.full(size, -inf)
+            self.ub = np.full(size, inf)
+        else:
+            self.H, self.g, self.lb, self.ub = cost.H, cost.g, cost.lb, cost.ub
         self.C = np.zeros((rows, size))
         self.lo = np.full(rows, -inf)
         self.hi = np.full(rows, inf)

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.barrier import Barrier, Near
-from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
+from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
 
@@ -74,8 +74,11 @@ class Rows:
         self._stops = bool(self._inverse_acceleration.any())
         self._travel = np.zeros(model.nv)
 
-    def update(self, box: BoxLimit, rate: Array, dt: float) -> None:
-        """Write the rows at the present kinematics for a step of dt with ẋ of all terms."""
+    def update(self, qp: QP, rate: Array, dt: float) -> None:
+        """Write the rows at the present kinematics for a step of dt with ẋ of all terms.
+
+        Of the program, its box is read.
+        """
         problem, dofs = self._problem, self._problem.dofs
         parts: list[tuple[Array, Array, Array]] = []
         self.blocks = []
@@ -86,7 +89,7 @@ class Rows:
             speed.write(problem.model, rate[part], full, bound)
             self._add(parts, full[:, dofs], -bound, bound)
         # Without a limit 0 · ∞ would be no number, and no joint goes further than around.
-        low, high = np.maximum(box.lower, -FASTEST), np.minimum(box.upper, FASTEST)
+        low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
         fastest = np.maximum(np.abs(low), np.abs(high))
         travel = fastest * dt
         if self._stops:
