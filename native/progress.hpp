@@ -25,13 +25,13 @@ class Progress {
   /// Forget what was.
   void reset();
 
-  /// Take note of the engine's last command, for a step of dt.
-  void update(const Engine& engine, double dt);
+  /// Take note of a command v (n,) at the engine's last evaluation, for a step of dt.
+  void update(const Engine& engine, const double* v, double dt);
 
   bool stuck() const { return stuck_; }
 
  private:
-  void look(const Engine& engine, double elapsed);
+  void look(const Engine& engine, const double* v, double elapsed);
   void judge(double slowest);
   void begin();
 
