@@ -144,8 +144,12 @@ class NativeRows(Rows):
         for barrier, (first, count) in zip(self.barriers, native.blocks, strict=True):
             if count:
                 rows = slice(first, first + count)
-                parts = (self._ids, self._distance, self._slope, self._drift)
-                near = Near(*(part[rows].copy() for part in parts))
+                near = Near(
+                    self._ids[rows].copy(),
+                    self._distance[rows].copy(),
+                    self._slope[rows].copy(),
+                    self._drift[rows].copy(),
+                )
                 self.blocks.append(Block(barrier, near, rows))
         return self._multiplier[: self.count].copy()
 
