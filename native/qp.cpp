@@ -21,6 +21,8 @@ constexpr int looks = 6;
 constexpr double implied_tolerance = 1e-9;
 // What the rates of a proof of infeasibility may miss, relative to the limit's own gradient.
 constexpr double balance_tolerance = 1e-10;
+// rad/s or m/s: what only a v further away than this could meet is not met.
+constexpr double farthest = 1e9;
 // Of the multipliers' rates: a smaller one is rounding, and holds nothing up.
 constexpr double least_rate = 1e-13;
 // Residual of the working set's equations, relative to their terms, that needs no refinement.
@@ -471,13 +473,15 @@ bool QPSolver::find_direction(const Limit& limit) {
 }
 
 // Whether the direction proves that no v meets the limit and the working set: the multipliers'
-// rates balance on every variable, sign · a + Kᵀdy + dz = 0, but for rounding (Farkas).
+// rates balance on every variable, sign · a + Kᵀdy + dz = 0, but for rounding (Farkas). With r left
+// over, a v′ that meets them is at least excess/‖r‖ away.
 bool QPSolver::contradicted(const Limit& limit) const {
+  const double enough = violation(limit) / (farthest * size_);
   for (int k = 0; k < free_count_; ++k) {
     const int i = free_[k];
     double left = limit.is_bound ? (i == limit.index ? limit.sign : 0.0)
                                  : limit.sign * row(limit.index)[i];
-    const double most = relative(balance_tolerance, left);
+    const double most = std::max(relative(balance_tolerance, left), enough);
     for (int t = 0; t < active_count_; ++t) left += dy_[t] * row(active_[t])[i];
     if (std::abs(left) > most) return false;
   }

@@ -93,7 +93,7 @@ def lacking(problem: Problem) -> list[str]:
     if config.solver.backend != "daqp":
         found.append(f"backend {config.solver.backend}")
     if config.solver.tolerance is not None:
-        found.append("a tolerance of the backend's")
+        found.append("tolerance of a backend's")
     return found
 
 

@@ -274,8 +274,8 @@ class Assembly:
                 directions.append((jacobian[:, self._dofs], self.rate[part][weighed]))
         direction = None
         if directions:
-            jacobians, wanted = zip(*directions, strict=True)
-            direction = (np.vstack(jacobians), np.concatenate(wanted))
+            jacobians, asked = zip(*directions, strict=True)
+            direction = (np.vstack(jacobians), np.concatenate(asked))
         return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
     def equalities(self) -> Equalities | None:

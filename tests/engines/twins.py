@@ -1,0 +1,149 @@
+"""Both engines side by side: the Python one leads, and a native one is fed what it starts from."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rmrc
+from rmrc import Problem, Step
+from rmrc.control.engine import PythonEngine
+from rmrc.control.step import ACTIVE_MULTIPLIER
+from rmrc.qp.program import Solution
+
+Array = NDArray[np.float64]
+
+SAME = 1e-8
+"""Of v, relative to its largest element: two solvers, and kinematics that round differently."""
+LEAST_RATE = 1e-3
+"""rad/s or m/s: a v below it is compared as it is, for 1e-8 of it is below the rounding of q/dt."""
+TIE = 1e-6
+"""A multiplier this small may be that of a limit that is only just active."""
+ROUNDING = 1e-13
+"""Of merits, relative to the largest of 1 and themselves."""
+MOST_APART = 0.1
+"""Share of the steps that tolerances may decide."""
+MET = 1e-8
+"""rad/s or m/s: a limit that v is this near to may be active."""
+DEPENDENT = 1e-6
+"""Share of the largest singular value up to which limits depend on one another: a multiplier's
+error is that of v divided by it."""
+SAME_ERROR = 1e-9
+NEW_TARGETS = 100
+
+
+def twins(problem: Problem, steps: int, moving: bool = False) -> Iterator[tuple[Step, Step]]:
+    """Run a controller with the Python engine, and yield its steps beside those of a native one."""
+    leader, twin = (rmrc.Controller(problem, engine=engine) for engine in ("python", "native"))
+    evaluation, other = leader.engine.evaluation, twin.engine.evaluation
+    rng = np.random.default_rng(0)
+    for k in range(steps):
+        if k % NEW_TARGETS == 0:
+            scatter_targets(leader, rng, moving)
+        other.targets[:], other.twists[:] = evaluation.targets, evaluation.twists
+        other.moving[:] = evaluation.moving
+        twin._v[:], twin._a[:] = leader._v, leader._a
+        q = leader.q
+        yield leader.step(), twin.step(q)
+
+
+def scatter_targets(controller: rmrc.Controller, rng: np.random.Generator, moving: bool) -> None:
+    """Move every target by up to 0.3 m and about 0.3 rad, with a velocity or at rest."""
+    for name, term in controller.problem.term.items():
+        twist = rng.normal(size=6) * 0.1
+        if term.target_kind == "pose":
+            turned = term.target[:4] + 0.15 * rng.normal(size=4)
+            place = term.target[4:] + rng.uniform(-0.3, 0.3, 3)
+            velocity = twist if moving else None
+            assert controller.set_target(name, place, turned, velocity)
+        elif term.target_kind == "point":
+            place = term.target + rng.uniform(-0.3, 0.3, 3)
+            assert controller.set_target(name, place, velocity=twist[:3] if moving else None)
+        elif term.target_kind == "direction":
+            velocity = twist[3:] if moving else None
+            direction = term.target + 0.3 * rng.normal(size=3)
+            assert controller.set_target(name, direction=direction, velocity=velocity)
+
+
+def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
+    """Hold the native engine to the Python one over a run.
+
+    Now and then the limits leave so little that DAQP's own tolerance decides about v: hard tasks
+    that cannot be met, or levels at a singularity in a corner of the box. Of such a step the native
+    engine has to have the better command.
+    """
+    apart = 0
+    for python, native in twins(problem, steps, moving):
+        np.testing.assert_allclose(native.moment.error, python.moment.error, atol=SAME_ERROR)
+        if difference(native.v, python.v) > SAME:
+            apart += 1
+            assert_better(native, python)
+            continue
+        assert native.flags == python.flags
+        assert native.solution.status is python.solution.status
+        assert_same_active(native.solution, python.solution, native.moment.engine)
+    assert apart <= MOST_APART * steps
+
+
+def difference(v: Array, expected: Array) -> float:
+    """Return the largest difference of two velocities, relative to the largest element."""
+    return float(np.abs(v - expected).max() / max(np.abs(expected).max(), LEAST_RATE))
+
+
+def assert_better(native: Step, python: Step) -> None:
+    """Hold the native command to be the better one in the first thing that tells the two apart."""
+    engine = native.moment.engine
+    ours, theirs = (merits(engine, step.solution.v) for step in (native, python))
+    apart = np.abs(ours - theirs) > ROUNDING * np.maximum(1.0, np.abs(theirs))
+    first = int(apart.argmax())
+    assert apart[first]
+    assert ours[first] < theirs[first]
+
+
+def merits(engine: PythonEngine, v: Array) -> Array:
+    """Return what v is judged by, the most important first and less the better.
+
+    That is by how much it passes rows and misses equalities, and then the cost; or of each level
+    what it falls short of its directions, and its cost.
+    """
+    qp = engine.assembly.qp
+    activity = qp.C @ v
+    missed = [qp.lo - activity, activity - qp.hi, np.abs(qp.E @ v - qp.f)]
+    found = [max(np.concatenate(missed).max(initial=0.0), 0.0)]
+    if engine._cascade is None:
+        return np.array([*found, 0.5 * v @ qp.H @ v + qp.g @ v])
+    for level in engine.assembly.levels():
+        if level.direction is not None:
+            jacobian, rate = level.direction
+            alpha = float(rate @ jacobian @ v / (rate @ rate))
+            found += [float(np.linalg.norm(jacobian @ v - alpha * rate)), -alpha]
+        residual = level.rows @ v - level.rate
+        found.append(0.5 * float(residual @ residual))
+    return np.array([*found, float(v @ level.metric @ v)])
+
+
+def assert_same_active(solution: Solution, expected: Solution, engine: PythonEngine) -> None:
+    """Hold the active limits to those of the Python engine, ties aside.
+
+    A tie is a multiplier near 0, or limits that depend on one another where v is: they can share
+    their multipliers in more than one way.
+    """
+    ours = np.concatenate([solution.bound_multiplier, solution.row_multiplier])
+    others = np.concatenate([expected.bound_multiplier, expected.row_multiplier])
+    differs = (np.abs(ours) > ACTIVE_MULTIPLIER) != (np.abs(others) > ACTIVE_MULTIPLIER)
+    if np.abs(ours - others)[differs].max(initial=0.0) >= TIE:
+        assert are_dependent(engine, solution.v)
+
+
+def are_dependent(engine: PythonEngine, v: Array) -> bool:
+    """Return whether the limits that v meets, with what levels fix, depend on one another."""
+    qp = engine.assembly.qp
+    activity = qp.C @ v
+    bounds = (v <= qp.lb + MET) | (v >= qp.ub - MET)
+    rows = (activity <= qp.lo + MET) | (activity >= qp.hi - MET)
+    fixed = [np.eye(v.size)[bounds], qp.C[rows], qp.E]
+    if engine._cascade is not None:
+        fixed += [level.rows for level in engine.assembly.levels()]
+    stacked = np.concatenate(fixed)
+    sigma = np.linalg.svd(stacked, compute_uv=False)
+    return len(stacked) > v.size or bool(sigma[-1] <= DEPENDENT * sigma[0])
