@@ -25,7 +25,6 @@ Batch::Batch(int count, std::vector<Worker> workers, std::vector<double> start, 
   workers_[0].stepper->keep(counted);
   bytes_ = counted.bytes();
   memory_.resize(count * bytes_);
-  for (const Worker& worker : workers_) records_.emplace_back(worker.stepper->size());
 }
 
 void Batch::load(const Worker& worker, int element) {
@@ -77,23 +76,22 @@ void Batch::step(const double* q, double dt, const BatchOutput& out) {
   const std::lock_guard lock(mutex_);
   const Call call{q, dt, out};
   pool_.run(count_, [this, &call](int thread, int element) {
-    take(workers_[thread], records_[thread].data(), element, call);
+    take(workers_[thread], element, call);
   });
 }
 
-void Batch::take(const Worker& worker, double* record, int element, const Call& call) {
+void Batch::take(const Worker& worker, int element, const Call& call) {
   const int nq = mujoco().nq, nv = mujoco().nv;
   load(worker, element);
   Summary summary{};
   const double* q = call.q == nullptr ? nullptr : call.q + element * nq;
-  const bool taken = worker.stepper->step(q, call.dt, record, summary);
-  if (!taken) worker.stepper->brake(call.dt, record);
+  const bool taken = worker.stepper->step(q, call.dt, summary);
+  if (!taken) worker.stepper->brake(call.dt);
   store(worker, element);
   const bool valid = taken && refused_[element] == 0;
   refused_[element] = 0;
-  const double* v = record + v_begins;
-  std::copy_n(v, nv, call.out.v + element * nv);
-  std::copy_n(v + nv, nq, call.out.q + element * nq);
+  std::copy_n(worker.stepper->state().v, nv, call.out.v + element * nv);
+  std::copy_n(worker.stepper->state().q, nq, call.out.q + element * nq);
   call.out.flags[element] = static_cast<std::int32_t>(summary.flags | (valid ? 0u : invalid_input));
 }
 

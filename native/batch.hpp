@@ -71,7 +71,7 @@ class Batch {
     BatchOutput out;
   };
 
-  void take(const Worker& worker, double* record, int element, const Call& call);
+  void take(const Worker& worker, int element, const Call& call);
   void load(const Worker& worker, int element);
   void store(const Worker& worker, int element);
   std::byte* memory(int element) { return memory_.data() + element * bytes_; }
@@ -84,7 +84,6 @@ class Batch {
   std::vector<std::byte> memory_;               // (n, bytes)
   std::vector<double> targets_, twists_;        // (n, size), (n, tasks, 6)
   std::vector<std::uint8_t> moving_, refused_;  // (n, tasks), (n,)
-  std::vector<std::vector<double>> records_;    // of the threads
   std::mutex mutex_;
   ThreadPool pool_;
 };

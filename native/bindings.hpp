@@ -6,10 +6,15 @@
 namespace rmrc {
 
 class Engine;
+class Rows;
+class Shortening;
 class Stepper;
 
 /// Add the engine and what it is built from.
 void bind_engine(nanobind::module_& m);
+
+/// Add the rows, and what checks a command where it leads.
+void bind_rows(nanobind::module_& m);
 
 /// Add what takes a controller's steps.
 void bind_stepper(nanobind::module_& m);
@@ -22,5 +27,9 @@ Stepper& stepper_of(nanobind::handle object);
 
 /// Return the engine of a Python `Engine`, which lives as long as that.
 Engine& engine_of(nanobind::handle object);
+
+/// Return the rows of a Python `Rows`, and the check of a Python `Shortening`.
+Rows& rows_of(nanobind::handle object);
+Shortening& shortening_of(nanobind::handle object);
 
 }  // namespace rmrc

@@ -8,30 +8,53 @@
 
 namespace rmrc {
 
-Residuals certify(int n, const double* H, const double* g, const double* lb, const double* ub,
-                  const double* z, double* v, double* residual) {
-  double primal = 0.0, complementarity = 0.0, stray = 0.0;
+namespace {
+
+// Σ m⁺(upper − x) + m⁻(x − lower) of one multiplier m, and m² where that limit is infinite.
+struct Slackness {
+  double sum = 0.0, stray = 0.0;
+
+  void add(double m, double x, double lower, double upper) {
+    if (m == 0.0) return;
+    const double distance = m > 0.0 ? upper - x : x - lower;
+    if (std::isinf(distance)) {
+      stray += m * m;
+    } else {
+      sum += std::abs(m) * distance;
+    }
+  }
+};
+
+}  // namespace
+
+Residuals certify(int n, const Program& program, const double* z, const double* y, double* v,
+                  double* residual) {
+  const Program& p = program;
+  double primal = 0.0;
+  Slackness slack;
   for (int i = 0; i < n; ++i) {
-    const double inside = std::min(std::max(v[i], lb[i]), ub[i]);
+    const double inside = std::min(std::max(v[i], p.lb[i]), p.ub[i]);
     primal += (v[i] - inside) * (v[i] - inside);
     v[i] = inside;
   }
-  for (int i = 0; i < n; ++i) residual[i] = dot(H + i * n, v, n) + g[i] + z[i];
   for (int i = 0; i < n; ++i) {
-    if (z[i] == 0.0) continue;
-    const double distance = z[i] > 0.0 ? ub[i] - v[i] : v[i] - lb[i];
-    if (std::isinf(distance)) {
-      stray += z[i] * z[i];
-    } else {
-      complementarity += std::abs(z[i]) * distance;
-    }
+    residual[i] = dot(p.H + i * n, v, n) + p.g[i] + z[i];
+    slack.add(z[i], v[i], p.lb[i], p.ub[i]);
   }
-  const double dual = dot(residual, residual, n) + stray;
-  if (!std::isfinite(primal + dual + complementarity)) {
+  for (int r = 0; r < p.rows; ++r) {
+    const double* row = p.C + static_cast<long>(r) * n;
+    const double activity = dot(row, v, n);
+    const double inside = std::min(std::max(activity, p.lo[r]), p.hi[r]);
+    primal += (activity - inside) * (activity - inside);
+    slack.add(y[r], inside, p.lo[r], p.hi[r]);
+    if (y[r] != 0.0) add_scaled(y[r], row, residual, n);
+  }
+  const double dual = dot(residual, residual, n) + slack.stray;
+  if (!std::isfinite(primal + dual + slack.sum)) {
     constexpr double infinity = std::numeric_limits<double>::infinity();
     return {infinity, infinity, infinity};
   }
-  return {std::sqrt(primal), std::sqrt(dual), complementarity};
+  return {std::sqrt(primal), std::sqrt(dual), slack.sum};
 }
 
 }  // namespace rmrc

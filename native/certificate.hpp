@@ -1,6 +1,8 @@
 // The residuals of the optimality conditions, of a solution inside a box.
 #pragma once
 
+#include "qp.hpp"
+
 namespace rmrc {
 
 /// Residuals as in rmrc.qp.program.KKT: 0 at the optimum, ∞ where a number is not finite.
@@ -10,8 +12,9 @@ struct Residuals {
 
 /// Clip v (n,) into the box, in place, and return its residuals as rmrc.qp.certificate does.
 ///
-/// `residual` (n,) is overwritten with H v + g + z.
-Residuals certify(int n, const double* H, const double* g, const double* lb, const double* ub,
-                  const double* z, double* v, double* residual);
+/// z (n,) and y (rows,) are the multipliers of the bounds and the rows of a program without
+/// equalities; `residual` (n,) is overwritten with H v + g + z + Cᵀy.
+Residuals certify(int n, const Program& program, const double* z, const double* y, double* v,
+                  double* residual);
 
 }  // namespace rmrc

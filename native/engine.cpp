@@ -55,6 +55,7 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       program_(program),
       constants_(std::move(constants)),
       box_(std::move(limits)),
+      max_iterations_(max_iterations),
       solver_(static_cast<int>(constants_.dofs.size()), 0, 0, max_iterations),
       v_(constants_.dofs.size()),
       z_(constants_.dofs.size()),
@@ -70,6 +71,12 @@ void Engine::add(std::unique_ptr<ForeignRows> term) {
 
 void Engine::adapt(DampingRule rule, std::vector<TaskedRow> rows) {
   damping_.emplace(rule, std::move(rows), size());
+}
+
+void Engine::limit(Rows& limits, Shortening* shortening) {
+  limits_ = &limits;
+  shortening_ = shortening;
+  solver_ = QPSolver(size(), limits.capacity(), 0, max_iterations_);
 }
 
 void Engine::forget() {
@@ -102,13 +109,17 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   }
   evaluate(q);
   assemble(dt);
+  if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
   const bool warm = warm_;
   Ending ending = attempt();
   if (warm && !trusted(ending) && in_time()) {
     forget();
     ending = attempt();
   }
-  if (trusted(ending)) return ending;
+  const bool limited = limits_ != nullptr && limits_->count() > 0;
+  finished_ = !limited || trusted(ending);
+  if (finished_ && limited && shortening_ != nullptr) finished_ = shortening_->free(v_.data(), dt);
+  if (limited || trusted(ending)) return ending;
   const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
   if (stopped && residuals_.primal <= certified) return ending;
   brake();
@@ -195,19 +206,30 @@ Ending Engine::attempt() {
   const int n = size();
   Ending ending = Ending::time_limit;
   iterations_ = 0;
+  Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
+                  nullptr,    nullptr,    nullptr,     0,           0};
+  double* y = nullptr;
+  if (limits_ != nullptr) {
+    const RowArrays& rows = limits_->arrays();
+    program.C = rows.matrix;
+    program.lo = rows.lower;
+    program.hi = rows.upper;
+    program.rows = limits_->count();
+    program.keys = limits_->keys();
+    y = rows.multiplier;
+  }
   if (in_time()) {
-    const Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
-                          nullptr,    nullptr,    nullptr,     0,           0};
     ending = ending_of(limited_ ? solver_.solve(program, end_) : solver_.solve(program));
     iterations_ = solver_.iterations();
     std::copy_n(solver_.v(), n, v_.begin());
     std::copy_n(solver_.bound_multiplier(), n, z_.begin());
+    if (y != nullptr) std::copy_n(solver_.row_multiplier(), program.rows, y);
   } else {
     std::fill(v_.begin(), v_.end(), 0.0);
     std::fill(z_.begin(), z_.end(), 0.0);
+    if (y != nullptr) std::fill_n(y, program.rows, 0.0);
   }
-  residuals_ = certify(n, program_.H, program_.g, program_.lb, program_.ub, z_.data(), v_.data(),
-                       residual_.data());
+  residuals_ = certify(n, program, z_.data(), y, v_.data(), residual_.data());
   // What ran out of time goes on from where it got to.
   warm_ = ending == Ending::solved || ending == Ending::time_limit;
   return ending;

@@ -13,6 +13,8 @@
 #include "memory.hpp"
 #include "mujoco.hpp"
 #include "qp.hpp"
+#include "rows.hpp"
+#include "shorten.hpp"
 #include "tasks.hpp"
 
 namespace rmrc {
@@ -46,8 +48,8 @@ const char* name_of(Ending ending);
 
 /// Solves one step after the other, each from the active set of the last.
 ///
-/// The specification is rmrc.control.engine.PythonEngine without rows and equalities. All memory is
-/// taken before the first step.
+/// The specification is rmrc.control.engine.PythonEngine without equalities. All memory is taken
+/// before the first step.
 class Engine {
  public:
   Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& program,
@@ -62,6 +64,9 @@ class Engine {
   void add(std::unique_ptr<ForeignRows> term);
   void add(JointTerm term) { joints_.push_back(std::move(term)); }
   void adapt(DampingRule rule, std::vector<TaskedRow> rows);
+
+  /// Have rows in the program, and commands checked where they lead: both must live as long.
+  void limit(Rows& limits, Shortening* shortening);
 
   /// Run the kinematics at q (nq,) and evaluate the terms, but for those that others evaluate.
   void evaluate(const double* q);
@@ -83,7 +88,7 @@ class Engine {
   /// Have no feed-forward for targets that do not move, whatever others did before.
   void rest_targets();
 
-  const JointLimits& limits() const { return box_.limits(); }
+  const JointLimits& joint_limits() const { return box_.limits(); }
 
   int size() const { return static_cast<int>(constants_.dofs.size()); }
   const std::vector<int>& dofs() const { return constants_.dofs; }
@@ -94,8 +99,15 @@ class Engine {
   const std::vector<std::unique_ptr<RowTerm>>& row_terms() const { return rows_; }
   const double* rate() const { return program_.rate; }
 
-  /// Whether a joint was outside its range at the last step.
-  bool outside() const { return outside_; }
+  /// Whether a joint or a distance was outside its limit at the last step.
+  bool outside() const { return outside_ || (limits_ != nullptr && limits_->passed()); }
+
+  /// Whether the last solution is all that there is to it: with rows what was not certified, and a
+  /// command that may have to be shortened, are left to rmrc.control.engine.PythonEngine.
+  bool finished() const { return finished_; }
+
+  /// The rows of the last step; null if the problem has none.
+  const Rows* limits() const { return limits_; }
 
   /// Whether λ_a² of the last step was more than rounding.
   bool damped() const;
@@ -124,8 +136,12 @@ class Engine {
   std::vector<ForeignRows*> foreign_;  // those among them that others evaluate
   std::vector<JointTerm> joints_;
   std::optional<Damping> damping_;
+  Rows* limits_ = nullptr;
+  Shortening* shortening_ = nullptr;
+  int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;
+  bool finished_ = true;
 
   bool limited_ = false;  // whether there is a deadline
   Clock::time_point end_;

@@ -72,7 +72,7 @@ class BoundEngine {
               nb::cast(H),         nb::cast(g),          nb::cast(added_damping),
               nb::cast(inertia),   nb::cast(lb),         nb::cast(ub)} {
     const std::size_t n = dofs.size(), nv = v_previous.size();
-    if (functions.size() != 6) throw std::invalid_argument("six functions are needed");
+    if (functions.size() != 7) throw std::invalid_argument("seven functions are needed");
     require(cdof, 6 * nv, "cdof");
     require(a_previous, nv, "a_previous");
     require(feedforward, error.size(), "feedforward");
@@ -92,7 +92,8 @@ class BoundEngine {
          function<void (*)(const void*, const void*, double*)>(functions[3]),
          function<void (*)(const void*, double*, const double*, double)>(functions[4]),
          function<void (*)(const void*, double*, double, const double*, const double*)>(
-             functions[5])},
+             functions[5]),
+         function<double (*)(const void*, const void*, int, int, double, double*)>(functions[6])},
         reinterpret_cast<const void*>(model),
         reinterpret_cast<void*>(data),
         static_cast<int>(qpos.size()),
@@ -111,6 +112,12 @@ class BoundEngine {
                       added_damping.data(), inertia.data(), a_previous.data()},
         Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor},
         JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step}, max_iter);
+  }
+
+  void limit(nb::object rows, nb::object shortening) {
+    engine_->limit(rows_of(rows), shortening.is_none() ? nullptr : &shortening_of(shortening));
+    kept_.append(std::move(rows));
+    kept_.append(std::move(shortening));
   }
 
   Engine& operator*() { return *engine_; }
@@ -279,7 +286,7 @@ nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
   return nb::make_tuple(name_of(ending), engine.iterations(), kkt.primal, kkt.dual,
-                        kkt.complementarity, engine.outside());
+                        kkt.complementarity, engine.outside(), engine.finished());
 }
 
 }  // namespace
@@ -318,9 +325,12 @@ void bind_engine(nb::module_& m) {
            "Run the kinematics and evaluate the terms, but for the foreign ones.")
       .def("assemble", [](BoundEngine& bound, double dt) { return (*bound).assemble(dt); }, "dt"_a,
            "Write the program at what was evaluated; return whether a joint is outside its range.")
+      .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
+           "Have rows in the program, and commands checked where they lead.")
       .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,
            "Solve a step; write v and z, and return how it ended, the iterations, the residuals,\n"
-           "and whether a joint is outside its range.")
+           "whether a joint or a distance is outside its limit, and whether that is all there is\n"
+           "to the step.")
       .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");
 }
 

@@ -15,6 +15,8 @@ struct MuJoCoFunctions {
   void (*integrate_pos)(const void* model, double* q, const double* v, double dt);
   void (*differentiate_pos)(const void* model, double* v, double dt, const double* from,
                             const double* to);
+  double (*geom_distance)(const void* model, const void* data, int first, int second, double most,
+                          double* segment);
 };
 
 /// A model with its data, and the arrays of theirs that a step reads.
@@ -25,6 +27,16 @@ struct MuJoCo {
   int nq, nv;
   double* qpos;        // (nq,)
   const double* cdof;  // (nv, 6): the axis of each dof, angular then linear, at its robot's com
+};
+
+/// Any data of the model, and the arrays of its that barriers read.
+struct Kinematics {
+  void* data;
+  double *qpos, *mocap_pos, *mocap_quat;
+  const double *xpos, *xquat;           // of the bodies (nbody, 3) and (nbody, 4)
+  const double *geom_xpos, *geom_xmat;  // (ngeom, 3) and (ngeom, 9)
+  const double* site_xpos;              // (nsite, 3)
+  const double *cdof, *subtree_com;     // (nv, 6), (nbody, 3)
 };
 
 }  // namespace rmrc

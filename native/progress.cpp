@@ -51,13 +51,13 @@ void Progress::keep(Memory& memory) {
   memory(moving_);
 }
 
-void Progress::update(const Engine& engine, double dt) {
+void Progress::update(const Engine& engine, const double* v, double dt) {
   since_look_ += dt;
   if (since_look_ * looks < window || watched_.empty()) return;
-  look(engine, std::exchange(since_look_, 0.0));
+  look(engine, v, std::exchange(since_look_, 0.0));
 }
 
-void Progress::look(const Engine& engine, double elapsed) {
+void Progress::look(const Engine& engine, const double* v, double elapsed) {
   bool off = false;
   double square = 0.0, asked = 0.0, speed = 0.0;
   for (const Watched& watched : watched_) {
@@ -67,7 +67,7 @@ void Progress::look(const Engine& engine, double elapsed) {
     double measures[2], moved[6];
     term.measure(measures);
     off |= measures[0] > watched.tolerance[0] || measures[1] > watched.tolerance[1];
-    term.multiply(engine.v(), moved);
+    term.multiply(v, moved);
     for (int r = 0; r < term.data().rows; ++r) {
       const double pull = watched.weight[r] * error[r];
       square += pull * error[r];

@@ -26,8 +26,8 @@ class Progress {
   /// Forget what was.
   void reset();
 
-  /// Take note of the engine's last command, for a step of dt.
-  void update(const Engine& engine, double dt);
+  /// Take note of a command v (n,) at the engine's last evaluation, for a step of dt.
+  void update(const Engine& engine, const double* v, double dt);
 
   /// Go through what there is to keep between two steps.
   void keep(Memory& memory);
@@ -35,7 +35,7 @@ class Progress {
   bool stuck() const { return stuck_; }
 
  private:
-  void look(const Engine& engine, double elapsed);
+  void look(const Engine& engine, const double* v, double elapsed);
   void judge(double slowest);
   void begin();
 

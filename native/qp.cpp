@@ -74,6 +74,8 @@ QPSolver::QPSolver(int size, int max_rows, int max_equalities, int max_iteration
       active_(size),
       bound_side_(size, Side::none),
       row_side_(max_rows + max_equalities, Side::none),
+      keys_(max_rows),
+      side_before_(max_rows),
       factor_(size),
       basis_(size),
       v_(size),
@@ -107,12 +109,7 @@ Status QPSolver::solve(const Program& program, Clock::time_point end) {
   program_ = &program;
   end_ = end;
   iterations_ = 0;
-  if (program.rows != rows_ || program.equalities != equalities_) {
-    // The rows are others than those of the last working set.
-    std::fill(row_side_.begin(), row_side_.end(), Side::none);
-    rows_ = program.rows;
-    equalities_ = program.equalities;
-  }
+  find_rows_again();
   Status status = Status::failed;
   if (finite()) {
     status = read_limits() ? run() : Status::infeasible;
@@ -126,6 +123,27 @@ Status QPSolver::solve(const Program& program, Clock::time_point end) {
   if (!warm_) forget();
   if (status != Status::solved) rest();
   return status;
+}
+
+// Take the sides over for the rows that are still there.
+void QPSolver::find_rows_again() {
+  const Program& p = *program_;
+  if (p.keys != nullptr) {
+    std::copy_n(row_side_.begin(), key_count_, side_before_.begin());
+    for (int r = 0, old = 0; r < p.rows; ++r) {
+      while (old < key_count_ && keys_[old] < p.keys[r]) ++old;
+      const bool known = old < key_count_ && keys_[old] == p.keys[r];
+      row_side_[r] = known ? side_before_[old] : Side::none;
+    }
+    std::copy_n(p.keys, p.rows, keys_.begin());
+    key_count_ = p.rows;
+  } else if (p.rows != rows_ || p.equalities != equalities_) {
+    // The rows are others than those of the last working set.
+    std::fill(row_side_.begin(), row_side_.end(), Side::none);
+    key_count_ = 0;
+  }
+  rows_ = p.rows;
+  equalities_ = p.equalities;
 }
 
 // Whether the time is not over; it is looked at now and then.

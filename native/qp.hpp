@@ -27,6 +27,9 @@ struct Program {
   const double* f;
   int rows;
   int equalities;
+  /// What the rows are known by from one program to the next (rows,), in ascending order; by their
+  /// index if it is null.
+  const std::int64_t* keys = nullptr;
 };
 
 /// How a solve ended: as in rmrc.qp.program.SolveStatus.
@@ -95,6 +98,7 @@ class QPSolver {
   };
 
   bool finite() const;
+  void find_rows_again();
   bool in_time() const;
   bool read_limits();
   Status run();
@@ -143,6 +147,9 @@ class QPSolver {
   std::vector<int> free_, held_, active_;
   int free_count_ = 0, held_count_ = 0, active_count_ = 0;
   std::vector<Side> bound_side_, row_side_;
+  std::vector<std::int64_t> keys_;  // of the rows of the last program that had any
+  int key_count_ = 0;
+  std::vector<Side> side_before_;
 
   Cholesky factor_;  // of H on the free variables
   RowBasis basis_;   // of the rows held

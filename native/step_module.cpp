@@ -193,16 +193,21 @@ class BoundStepper {
       seconds = PyFloat_AS_DOUBLE(dt.ptr());
       if (!(shortest_step <= seconds && seconds <= longest_step)) return nb::none();
     }
-    const auto size = static_cast<std::size_t>(stepper_->size());
-    std::unique_ptr<double[]> values(new double[size]);
     Summary summary;
     if (q.is_none()) {
-      stepper_->step(nullptr, seconds, values.get(), summary);
+      if (!stepper_->step(nullptr, seconds, summary)) return nb::none();
     } else {
       const Plain given(q, stepper_->engine().mujoco().nq);
-      if (!given || !stepper_->step(given.data(), seconds, values.get(), summary)) {
-        return nb::none();
-      }
+      if (!given || !stepper_->step(given.data(), seconds, summary)) return nb::none();
+    }
+    const auto size = static_cast<std::size_t>(stepper_->size());
+    std::unique_ptr<double[]> values(new double[size]);
+    stepper_->write(values.get());
+    if (stepper_->engine().limits() != nullptr) {
+      nb::setattr(engine, share_, whole_);
+      nb::setattr(engine, relaxed_, nb::bool_(false));
+      nb::setattr(engine, outside_, nb::bool_(stepper_->engine().outside()));
+      nb::setattr(engine, behind_, nb::bool_(true));
     }
     nb::object record = nb::inst_alloc(record_);
     new (nb::inst_ptr<Record>(record)) Record{std::move(values), static_cast<Py_ssize_t>(size),
@@ -226,6 +231,9 @@ class BoundStepper {
   nb::type_object record_;
   std::shared_ptr<const Arrays> arrays_;
   nb::str flag_bits_ = interned("flag_bits"), source_ = interned("_source");
+  nb::str share_ = interned("share"), relaxed_ = interned("relaxed");
+  nb::str outside_ = interned("outside"), behind_ = interned("behind");
+  nb::float_ whole_{1.0};
   std::vector<nb::object> kept_;
   double dt_;
   std::vector<FedAim> aims_;
@@ -271,10 +279,14 @@ void bind_stepper(nb::module_& m) {
            "Forget the progress that was made.")
       .def(
           "update",
-          [](BoundStepper& bound, nb::handle, double dt) {
-            bound.progress().update(bound.stepper().engine(), dt);
+          [](BoundStepper& bound, const Reading& v, double dt) {
+            const Engine& engine = bound.stepper().engine();
+            if (v.size() != static_cast<std::size_t>(engine.size())) {
+              throw std::invalid_argument("v has a wrong size");
+            }
+            bound.progress().update(engine, v.data(), dt);
           },
-          "v"_a, "dt"_a, "Take note of the engine's last command, for a step of dt.")
+          "v"_a, "dt"_a, "Take note of a command v (n,) at the last evaluation, for a step of dt.")
       .def_prop_ro("stuck", [](BoundStepper& bound) { return bound.progress().stuck(); },
                    "Whether the tasks are stuck.");
 }

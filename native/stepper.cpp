@@ -36,19 +36,20 @@ Stepper::Stepper(Engine& engine, Progress progress, ControllerState state,
       kept_(std::move(kept)),
       moving_(moving),
       size_(moving.size + v_begins + 2 * (engine.mujoco().nv + engine.mujoco().nq) +
-            engine.size()) {
+            engine.size()),
+      from_(engine.mujoco().nq) {
   for (const KeptArray& array : kept_) size_ += array.size;
 }
 
-bool Stepper::read(const double* q, double* out) const {
+bool Stepper::read(const double* q) {
   const int nq = engine_.mujoco().nq;
   bool sane = true;
   for (int i = 0; i < nq; ++i) {
     sane &= std::abs(q[i]) < largest_input;  // NaN is not less
-    out[i] = q[i];
+    from_[i] = q[i];
   }
   for (const int first : quaternions_) {
-    double* turn = out + first;
+    double* turn = from_.data() + first;
     const double norm =
         std::sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2] + turn[3] * turn[3]);
     sane &= norm >= zero_norm;
@@ -57,56 +58,42 @@ bool Stepper::read(const double* q, double* out) const {
   return sane;
 }
 
-bool Stepper::step(const double* q, double dt, double* out, Summary& summary) {
+bool Stepper::step(const double* q, double dt, Summary& summary) {
   const MuJoCo& mujoco = engine_.mujoco();
-  const int nq = mujoco.nq, nv = mujoco.nv, n = engine_.size();
-  double *v = out + v_begins, *following = v + nv, *from = following + nq, *previous = from + nq;
-  double *z = previous + nv, *rest = z + n;
   if (q == nullptr) {
-    std::copy_n(state_.q, nq, from);
-  } else if (!read(q, from)) {
+    std::copy_n(state_.q, mujoco.nq, from_.begin());
+  } else if (!read(q)) {
     return false;
   }
-  std::copy_n(state_.v, nv, previous);
-  std::copy_n(state_.v, nv, state_.v_previous);
-  const Ending ending = engine_.solve(from, dt, budget_);
-  progress_.update(engine_, dt);
+  std::copy_n(state_.v, mujoco.nv, state_.v_previous);
+  const Ending ending = engine_.solve(from_.data(), dt, budget_);
+  if (!engine_.finished()) return false;
+  progress_.update(engine_, engine_.v(), dt);
   summary = {flags(ending), ending, engine_.iterations()};
-  const Residuals& kkt = engine_.residuals();
-  out[0] = kkt.primal;
-  out[1] = kkt.dual;
-  out[2] = kkt.complementarity;
-  out[3] = dt;
-  std::fill_n(v, nv, 0.0);
-  for (int i = 0; i < n; ++i) v[engine_.dofs()[i]] = engine_.v()[i];
-  std::copy_n(from, nq, following);
-  carry_out(v, following, dt);
-  std::copy_n(engine_.bound_multiplier(), n, z);
-  for (const KeptArray& array : kept_) rest = std::copy_n(array.values, array.size, rest);
-  std::copy_n(moving_.values, moving_.size, rest);
+  dt_ = dt;
+  std::fill_n(state_.v, mujoco.nv, 0.0);
+  for (int i = 0; i < engine_.size(); ++i) state_.v[engine_.dofs()[i]] = engine_.v()[i];
+  std::copy(from_.begin(), from_.end(), state_.q);
+  carry_out(dt);
   return true;
 }
 
-void Stepper::brake(double dt, double* out) {
-  const int nq = engine_.mujoco().nq, nv = engine_.mujoco().nv;
-  double *v = out + v_begins, *following = v + nv;
-  std::fill_n(v, nv, 0.0);
+void Stepper::brake(double dt) {
+  std::copy_n(state_.v, engine_.mujoco().nv, state_.v_previous);
+  std::fill_n(state_.v, engine_.mujoco().nv, 0.0);
   for (int i = 0; i < engine_.size(); ++i) {
     const int dof = engine_.dofs()[i];
-    const double most = engine_.limits().acceleration[i] * dt;
-    v[dof] = state_.v[dof] - std::min(std::max(state_.v[dof], -most), most);
+    const double before = state_.v_previous[dof];
+    const double most = engine_.joint_limits().acceleration[i] * dt;
+    state_.v[dof] = before - std::min(std::max(before, -most), most);
   }
   progress_.reset();
-  std::copy_n(state_.q, nq, following);
-  carry_out(v, following, dt);
+  carry_out(dt);
 }
 
-// Move q on with v, and remember both.
-void Stepper::carry_out(const double* v, double* q, double dt) {
+void Stepper::carry_out(double dt) {
   const MuJoCo& mujoco = engine_.mujoco();
-  mujoco.call.integrate_pos(mujoco.model, q, v, dt);
-  std::copy_n(q, mujoco.nq, state_.q);
-  std::copy_n(v, mujoco.nv, state_.v);
+  mujoco.call.integrate_pos(mujoco.model, state_.q, state_.v, dt);
 }
 
 void Stepper::reset(const double* q, const double* v) {
@@ -121,6 +108,33 @@ void Stepper::keep(Memory& memory) {
   memory(state_.v, engine_.mujoco().nv);
   progress_.keep(memory);
   engine_.keep(memory);
+}
+
+int Stepper::size() const {
+  const Rows* rows = engine_.limits();
+  return rows == nullptr ? size_
+                         : size_ + static_cast<int>(rows->blocks().size()) + 4 * rows->count();
+}
+
+void Stepper::write(double* out) const {
+  const int nq = engine_.mujoco().nq, nv = engine_.mujoco().nv;
+  const Residuals& kkt = engine_.residuals();
+  for (const double value : {kkt.primal, kkt.dual, kkt.complementarity, dt_}) *out++ = value;
+  out = std::copy_n(state_.v, nv, out);
+  out = std::copy_n(state_.q, nq, out);
+  out = std::copy_n(from_.data(), nq, out);
+  out = std::copy_n(state_.v_previous, nv, out);
+  out = std::copy_n(engine_.bound_multiplier(), engine_.size(), out);
+  for (const KeptArray& array : kept_) out = std::copy_n(array.values, array.size, out);
+  out = std::copy_n(moving_.values, moving_.size, out);
+  if (engine_.limits() == nullptr) return;
+  const Rows& rows = *engine_.limits();
+  for (const Block& block : rows.blocks()) *out++ = block.count;
+  out = std::copy_n(rows.arrays().ids, rows.count(), out);
+  for (const double* values :
+       {rows.arrays().lower, rows.arrays().upper, rows.arrays().multiplier}) {
+    out = std::copy_n(values, rows.count(), out);
+  }
 }
 
 unsigned Stepper::flags(Ending ending) const {
@@ -138,6 +152,10 @@ unsigned Stepper::flags(Ending ending) const {
   for (int i = 0; i < engine_.size(); ++i) {
     const double z = engine_.bound_multiplier()[i];
     if (!frozen_[i]) square += z * z;  // a frozen joint is no limit that is in the way
+  }
+  if (const Rows* rows = engine_.limits()) {
+    const double* y = rows->arrays().multiplier;
+    for (int r = 0; r < rows->count(); ++r) square += y[r] * y[r];
   }
   if (square > active_multiplier * active_multiplier) found |= limited;
   return found;

@@ -47,19 +47,21 @@ class Stepper {
           std::vector<char> frozen, double budget, std::vector<KeptArray> kept,
           KeptFlags moving);
 
-  /// Doubles that a step is written to: residuals (3), dt, v, the configuration v leads to, the one
-  /// it starts from, v_previous, z, the arrays kept, and 1 for each target that moves.
-  int size() const { return size_; }
-
   /// Take a step of dt seconds from q (nq,), or from where the last one led to if q is null.
   ///
-  /// Return false, and change nothing, if q is not valid.
-  bool step(const double* q, double dt, double* out, Summary& summary);
+  /// Return false, and change nothing, if q is not valid, or the engine has not finished the step.
+  bool step(const double* q, double dt, Summary& summary);
+
+  /// Doubles that the last step is written to: residuals (3), dt, v, the configuration v leads to,
+  /// the one it starts from, v_previous, z, the arrays kept, and 1 for each target that moves; then
+  /// the number of rows of each barrier, and the ids, lo, hi and y of all rows.
+  int size() const;
+
+  /// Write the last step.
+  void write(double* out) const;
 
   /// Slow down for dt seconds at the limits of the acceleration, or stand still at once.
-  ///
-  /// Of what `step` writes, write v and the configuration it leads to.
-  void brake(double dt, double* out);
+  void brake(double dt);
 
   /// Start anew at q (nq,) that moves with v (nv,).
   void reset(const double* q, const double* v);
@@ -67,12 +69,15 @@ class Stepper {
   /// Go through what there is to keep between two steps.
   void keep(Memory& memory);
 
+  /// Where the last step has led to.
+  const ControllerState& state() const { return state_; }
+
   Engine& engine() { return engine_; }
   Progress& progress() { return progress_; }
 
  private:
-  bool read(const double* q, double* out) const;
-  void carry_out(const double* v, double* q, double dt);
+  bool read(const double* q);
+  void carry_out(double dt);
   unsigned flags(Ending ending) const;
 
   Engine& engine_;
@@ -83,7 +88,9 @@ class Stepper {
   double budget_;
   std::vector<KeptArray> kept_;
   KeptFlags moving_;
-  int size_;
+  int size_;  // without the rows
+  std::vector<double> from_;  // (nq,)
+  double dt_ = 0.0;
 };
 
 }  // namespace rmrc

@@ -1,5 +1,6 @@
-// Steps of a planar arm, whose kinematics stand in for MuJoCo's: optimal, inside the box, the same
-// again bit by bit, and without a call for memory; and those of many arms on few threads.
+// Steps of a planar arm, whose kinematics stand in for MuJoCo's: optimal, inside the box, in front
+// of a plane and away from a ball, the same again bit by bit, and without a call for memory; and
+// those of many arms on few threads.
 
 #include <algorithm>
 #include <atomic>
@@ -10,10 +11,12 @@
 #include <limits>
 #include <memory>
 #include <new>
+#include <utility>
 #include <vector>
 
 #include "batch.hpp"
 #include "stepper.hpp"
+#include "workspace.hpp"
 
 namespace {
 
@@ -37,13 +40,26 @@ constexpr double kkt_tolerance = 1e-8;
 constexpr double rounding = 1e-12;
 constexpr int joints = 5;
 constexpr double link = 0.3, dt = 0.002, fastest = 1.5, strongest = 20.0;
+constexpr double radius = 0.05, ball[3] = {0.2, 1.1, 0.0};
+constexpr double plane = 0.26;      // the least x of the end
+constexpr double quickest = 1.2;     // m/s, of the end
+constexpr double kept = 1e-6;        // rmrc.qp.rows.PASSED
 
 // The arm in place of mjModel and mjData: hinges about z, and a frame at its end.
 struct Arm {
   double q[joints] = {};
   double cdof[6 * joints] = {};
   double position[3] = {}, rotation[9] = {}, com[3] = {};
+  // Of the world and the arm's end, each with one geom.
+  double xpos[6] = {}, xquat[8] = {1, 0, 0, 0, 1, 0, 0, 0};
+  double geom_xpos[6] = {ball[0], ball[1], ball[2]}, geom_xmat[18] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  double subtree_com[6] = {};
 };
+
+rmrc::Kinematics arrays_of(Arm& arm) {
+  return {&arm,          arm.q,         nullptr, nullptr,  arm.xpos,       arm.xquat,
+          arm.geom_xpos, arm.geom_xmat, nullptr, arm.cdof, arm.subtree_com};
+}
 
 Arm& arm_of(void* data) { return *static_cast<Arm*>(data); }
 
@@ -63,8 +79,27 @@ void kinematics(const void*, void* data) {
   const double rotation[9] = {std::cos(angle), -std::sin(angle), 0, std::sin(angle),
                               std::cos(angle), 0, 0, 0, 1};
   std::copy_n(rotation, 9, arm.rotation);
-  arm.position[0] = x;
-  arm.position[1] = y;
+  arm.position[0] = arm.xpos[3] = arm.geom_xpos[3] = x;
+  arm.position[1] = arm.xpos[4] = arm.geom_xpos[4] = y;
+  std::copy_n(rotation, 9, arm.geom_xmat + 9);
+  arm.xquat[4] = std::cos(0.5 * angle);
+  arm.xquat[7] = std::sin(0.5 * angle);
+}
+
+// Two spheres.
+double distance(const void*, const void* data, int first, int second, double, double* segment) {
+  const double* at = static_cast<const Arm*>(data)->geom_xpos;
+  double apart[3], length = 0.0;
+  for (int i = 0; i < 3; ++i) {
+    apart[i] = at[3 * second + i] - at[3 * first + i];
+    length += apart[i] * apart[i];
+  }
+  length = std::sqrt(length);
+  for (int i = 0; i < 3; ++i) {
+    segment[i] = at[3 * first + i] + radius / length * apart[i];
+    segment[3 + i] = at[3 * second + i] - radius / length * apart[i];
+  }
+  return length - 2.0 * radius;
 }
 
 void com_pos(const void*, void*) {}
@@ -104,13 +139,14 @@ struct Fixture {
   std::unique_ptr<rmrc::Engine> engine;
   std::unique_ptr<rmrc::Stepper> stepper;
 
-  explicit Fixture(rmrc::Adapt adapt) {
+  // `others` is the root of all weights but that of the first task's position.
+  explicit Fixture(rmrc::Adapt adapt, double others = 0.5) : others_(others) {
     for (int i = 0; i < joints; ++i) {
       place[i] = i;
       q[i] = 0.3 + 0.1 * i;
     }
     const rmrc::MuJoCo mujoco{
-        {kinematics, com_pos, make_inertia, full_inertia, integrate, differentiate},
+        {kinematics, com_pos, make_inertia, full_inertia, integrate, differentiate, distance},
         nullptr, &arm, joints, joints, arm.q, arm.cdof};
     std::vector<double> constant(joints * joints);
     for (int i = 0; i < joints; ++i) constant[i * joints + i] = 0.02;
@@ -143,7 +179,7 @@ struct Fixture {
     const rmrc::Frame base{arm.com, unit, arm.com, {}};
     const rmrc::MuJoCo& mujoco = engine->mujoco();
     const rmrc::Stack& stack = engine->stack();
-    const auto ones = [](int n) { return std::vector<double>(n, 0.5); };
+    const auto ones = [&](int n) { return std::vector<double>(n, others_); };
     int first = 0;
     const auto next = [&](const double* target) {
       const int count = row_counts[term_++];
@@ -153,9 +189,10 @@ struct Fixture {
     };
     rmrc::TermData clamped = next(pose);
     clamped.clamps = {{0, 3, 0.05}, {3, 3, 0.2}};
-    std::vector<double> full(36, 0.1);
-    for (int i = 0; i < 6; ++i) full[7 * i] = 1.0;
-    engine->add(std::make_unique<rmrc::BodyFrame>(clamped, full, end, 1.0, mujoco, stack));
+    std::vector<double> full(36, 0.2 * others_);
+    for (int i = 0; i < 6; ++i) full[7 * i] = i < 3 ? 1.0 : 2.0 * others_;
+    engine->add(
+        std::make_unique<rmrc::BodyFrame>(clamped, full, end, infinity, mujoco, stack));
     engine->add(std::make_unique<rmrc::WorldFrame>(next(pose), ones(6), end, mujoco, stack));
     engine->add(
         std::make_unique<rmrc::RelativeFrame>(next(offset), ones(6), end, base, mujoco, stack));
@@ -183,6 +220,7 @@ struct Fixture {
 
  private:
   static constexpr double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  double others_;
   int term_ = 0;
 };
 
@@ -194,6 +232,129 @@ void expect(bool holds, const char* what, int step) {
   if (holds) return;
   ok = false;
   std::printf("step %d: %s\n", step, what);
+}
+
+// The same arm with a pair of geoms, a plane, and a limit of its end's speed.
+struct LimitedFixture : Fixture {
+  static constexpr int capacity = 5;
+  Arm own;
+  double matrix[capacity * joints], lower[capacity], upper[capacity], multiplier[capacity];
+  std::int64_t ids[capacity];
+  double distance[capacity], slope[capacity * joints], drift[capacity];
+  std::int64_t geoms[2] = {0, 1}, body[2] = {0, 1}, root[2] = {0, 1}, mocap[2] = {-1, -1};
+  std::int64_t dof_root[joints] = {1, 1, 1, 1, 1}, base[1] = {0}, other[1] = {1};
+  std::uint8_t flat[1] = {0}, doubtful[1] = {0}, active[1] = {0}, measured[1] = {0};
+  double size[6] = {radius, 0, 0, radius, 0, 0}, radii[1] = {2.0 * radius};
+  double thickness[1] = {radius}, levers[joints], side[joints], reach[2] = {0.0, 2.0 * radius};
+  double spread[1] = {0.0}, width[1] = {2.0 * radius}, sign[1] = {1.0}, carries[joints] = {};
+  double moves[joints], bound[1] = {-infinity}, threshold[1] = {0.1}, between[1] = {};
+  double segments[6] = {}, normals[3] = {}, room[1] = {-infinity}, travel[joints] = {};
+  double position[6] = {}, quaternion[8] = {}, seen_position[6], seen_quaternion[8];
+  std::unique_ptr<rmrc::Rows> rows;
+  std::unique_ptr<rmrc::Shortening> shortening;
+
+  LimitedFixture() : Fixture(rmrc::Adapt::off, 0.01) {
+    for (int i = 0; i < joints; ++i) {
+      levers[i] = link * (joints - i) + radius;
+      side[i] = moves[i] = 1.0;
+    }
+    seen_position[0] = std::nan("");
+    const std::vector<int> dofs{0, 1, 2, 3, 4};
+    rows = std::make_unique<rmrc::Rows>(
+        engine->mujoco(), arrays_of(arm), dofs, dofs, std::vector<double>(joints, 1.0 / strongest),
+        rmrc::RowArrays{matrix, lower, upper, multiplier, ids, distance, slope, drift}, capacity);
+    rows->add(rmrc::SpeedRows({arm.position, arm.rotation, arm.com, dofs}, false, quickest, infinity,
+                              rate + 6, arm.cdof));
+    std::vector<rmrc::Plane> planes{{rmrc::Anchor::body, 1, 1, -1, {1.0, 0.0, 0.0}, plane, dofs,
+                                     std::vector<double>(levers, levers + joints)}};
+    rows->add(std::make_unique<rmrc::Workspace>(std::move(planes), 0.85, 0.1, nullptr, joints));
+    rows->add(std::make_unique<rmrc::Collision>(pairs(), engine->mujoco()));
+    shortening = std::make_unique<rmrc::Shortening>(*rows, arrays_of(own),
+                                                    std::vector<double>(joints, strongest), nullptr,
+                                                    0);
+    engine->limit(*rows, shortening.get());
+  }
+
+  rmrc::PairArrays pairs() {
+    rmrc::PairArrays a{};
+    a.pairs = 1;
+    a.bodies = 2;
+    a.d_min = 0.01;
+    a.detect = 0.1;
+    a.gain = 0.85;
+    a.push = 0.1;
+    a.geoms = geoms;
+    a.body = body;
+    a.root = root;
+    a.mocap = mocap;
+    a.plane = flat;
+    a.doubtful = doubtful;
+    a.size = size;
+    a.radii = radii;
+    a.thickness = thickness;
+    a.levers = a.longest = levers;
+    a.side = side;
+    a.dof_root = dof_root;
+    a.reach = reach;
+    a.base = base;
+    a.other = other;
+    a.spread = spread;
+    a.width = width;
+    a.sign = sign;
+    a.carries = carries;
+    a.moves = moves;
+    a.bound = bound;
+    a.threshold = threshold;
+    a.distance = between;
+    a.segments = segments;
+    a.normals = normals;
+    a.active = active;
+    a.measured = measured;
+    a.room = room;
+    a.travel = travel;
+    a.position = position;
+    a.quaternion = quaternion;
+    a.seen_position = seen_position;
+    a.seen_quaternion = seen_quaternion;
+    return a;
+  }
+};
+
+std::vector<double> run_limited(int steps) {
+  LimitedFixture fixture;
+  std::vector<double> out(fixture.stepper->size() + 4 * LimitedFixture::capacity), history;
+  history.reserve(static_cast<std::size_t>(steps) * joints);
+  rmrc::Summary summary;
+  int left = 0, at_plane = 0, at_ball = 0;
+  for (int k = 0; k < steps; ++k) {
+    if (k % 500 == 0) {  // to the ball, to the plane, and away
+      const double aims[3][2] = {{ball[0], ball[1]}, {-1.2, 0.3}, {1.0, 0.5}};
+      std::copy_n(aims[k / 500 % 3], 2, fixture.pose + 4);
+      fixture.moving = 0;
+    }
+    const long before = allocations;
+    const bool taken = fixture.stepper->step(nullptr, dt, summary);
+    if (taken) fixture.stepper->write(out.data());
+    expect(allocations == before, "called for memory beside limits", k);
+    if (!taken) {  // Python would shorten it
+      ++left;
+      std::fill_n(fixture.v, joints, 0.0);
+      continue;
+    }
+    double segment[6];
+    kinematics(nullptr, &fixture.arm);
+    const double* at = fixture.distance;
+    const int count = fixture.rows->count();
+    expect(at[3] >= -kept, "beyond the plane", k);
+    if (count > 4) expect(at[4] >= -kept, "in the ball", k);
+    expect(distance(nullptr, &fixture.arm, 0, 1, infinity, segment) >= 0.01 - kept, "too near", k);
+    at_plane += fixture.multiplier[3] < -1e-7;
+    at_ball += count > 4 && fixture.multiplier[4] < -1e-7;
+    history.insert(history.end(), fixture.v, fixture.v + joints);
+  }
+  expect(left * 10 < steps, "too much is left to Python", left);
+  expect(at_plane > 0 && at_ball > 0, "no limit is ever active", at_plane);
+  return history;
 }
 
 std::vector<double> run(rmrc::Adapt adapt, int steps) {
@@ -211,7 +372,8 @@ std::vector<double> run(rmrc::Adapt adapt, int steps) {
       fixture.moving = k % 1000 == 0;
     }
     const long before = allocations;
-    expect(fixture.stepper->step(nullptr, dt, out.data(), summary), "not taken", k);
+    expect(fixture.stepper->step(nullptr, dt, summary), "not taken", k);
+    fixture.stepper->write(out.data());
     expect(allocations == before, "called for memory", k);
     expect(summary.ending == rmrc::Ending::solved, "not solved", k);
     for (int i = 0; i < 3; ++i) expect(out[i] <= kkt_tolerance, "not optimal", k);
@@ -227,12 +389,11 @@ std::vector<double> run(rmrc::Adapt adapt, int steps) {
 
 void test_bad_input() {
   Fixture fixture(rmrc::Adapt::off);
-  std::vector<double> out(fixture.stepper->size());
   rmrc::Summary summary;
   double q[joints] = {0, 0, std::nan(""), 0, 0};
-  expect(!fixture.stepper->step(q, dt, out.data(), summary), "a q that is not finite is taken", 0);
+  expect(!fixture.stepper->step(q, dt, summary), "a q that is not finite is taken", 0);
   fixture.pose[4] = std::nan("");
-  fixture.stepper->step(nullptr, dt, out.data(), summary);
+  fixture.stepper->step(nullptr, dt, summary);
   expect(summary.ending == rmrc::Ending::failed, "a target that is not finite is taken", 0);
   for (const double v : fixture.v) expect(std::isfinite(v), "v is not finite", 0);
 }
@@ -304,14 +465,13 @@ void test_batch() {
   }
   for (const int element : {0, 1, 2, elements - 1}) {
     Fixture alone(rmrc::Adapt::sigma_min);
-    std::vector<double> out(alone.stepper->size());
     double pose[7];
     pose_of(element, pose);
     const rmrc::Aim aim{true, alone.pose, alone.twist, &alone.moving};
     expect(aim.take({pose, pose + 3, nullptr}), "a target is not taken", element);
     rmrc::Summary summary;
     for (int k = 0; k < steps; ++k) {
-      alone.stepper->step(nullptr, dt, out.data(), summary);
+      alone.stepper->step(nullptr, dt, summary);
       const double* v = rows.v.data() + (k * elements + element) * joints;
       expect(std::equal(v, v + joints, alone.v), "an element is not as if it were alone", k);
     }
@@ -325,6 +485,7 @@ int main() {
                                   rmrc::Adapt::manipulability, rmrc::Adapt::error}) {
     expect(run(adapt, 3000) == run(adapt, 3000), "another run gives other bits", -1);
   }
+  expect(run_limited(3000) == run_limited(3000), "another run beside limits gives other bits", -1);
   test_bad_input();
   test_batch();
   std::puts(ok ? "ok" : "failed");

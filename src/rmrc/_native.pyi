@@ -1,4 +1,5 @@
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +121,78 @@ class Engine:
     def assemble(self, dt: float) -> bool: ...
     def solve(
         self, q: Array, dt: float, seconds: float, solution: Array
-    ) -> tuple[str, int, float, float, float, bool]: ...
+    ) -> tuple[str, int, float, float, float, bool, bool]: ...
+    def limit(self, rows: Rows, shortening: Shortening | None) -> None: ...
     def forget(self) -> None: ...
+
+class Kinematics:
+    """Where the arrays of an mjData stand."""
+
+    def __init__(self, data: int, arrays: Mapping[str, Array]) -> None: ...
+
+class Rows:
+    """The rows of a step, in the arrays that it is given."""
+
+    def __init__(
+        self,
+        *,
+        engine: Engine,
+        now: Kinematics,
+        inverse_acceleration: list[float],
+        matrix: Array,
+        lower: Array,
+        upper: Array,
+        multiplier: Array,
+        ids: NDArray[np.intp],
+        distance: Array,
+        slope: Array,
+        drift: Array,
+    ) -> None: ...
+    def add_speed(
+        self,
+        *,
+        position: Array,
+        rotation: Array,
+        robot_com: Array,
+        dofs: list[int],
+        turned: bool,
+        linear: float,
+        angular: float,
+        rate: Array,
+    ) -> None: ...
+    def add_collision(
+        self,
+        *,
+        d_min: float,
+        detect: float,
+        gain: float,
+        push: float,
+        twist: Array,
+        arrays: Mapping[str, NDArray[Any]],
+    ) -> None: ...
+    def add_workspace(
+        self,
+        planes: list[tuple[str, int, int, int, list[float], float, list[int], list[float]]],
+        gain: float,
+        push: float,
+        twist: Array,
+    ) -> None: ...
+    def add_balls(self, balls: list[tuple[int, int, float]], gain: float, push: float) -> None: ...
+    def update(self, lb: Array, ub: Array, dt: float) -> None: ...
+    @property
+    def blocks(self) -> list[tuple[int, int]]: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def passed(self) -> bool: ...
+
+class Shortening:
+    """Whether a command may be carried out as it is."""
+
+    def __init__(
+        self, *, rows: Rows, own: Kinematics, deceleration: list[float], twist: Array
+    ) -> None: ...
+    def free(self, v: Array, dt: float) -> bool: ...
 
 class Record:
     """A step as it was taken: a buffer of doubles."""

@@ -212,6 +212,8 @@ class _OneByOne:
 
 def _worker(engine: Engine) -> "Worker | None":
     """Return what takes an engine's steps in C++, with its evaluation; None where there is none."""
+    if engine.rows.any:  # what is near is kept by each barrier, for one robot
+        return None
     model = engine.problem.model
     stepper = engine.stepper(np.empty(model.nq), np.empty(model.nv))
     return None if stepper is None else (stepper, engine.evaluation)

@@ -215,6 +215,8 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
+        if self._budget < math.inf:
+            self.engine.deadline = perf_counter() + self._budget
         if self._quick is not None:
             step = self._quick.step(self.engine, q, dt)
             if step is not None:
@@ -223,8 +225,6 @@ class Controller:
                     step.flag_bits |= _INVALID_INPUT
                 self.failures = self.failures + 1 if step.flag_bits & FAILED else 0
                 return step
-        if self._budget < math.inf:
-            self.engine.deadline = perf_counter() + self._budget
         valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else seconds_of(dt)
         if valid is None or seconds is None:

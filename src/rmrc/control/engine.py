@@ -16,6 +16,7 @@ from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
 from rmrc.qp.cascade import WHOLE, Cascade
 from rmrc.qp.certificate import Certificate
+from rmrc.qp.equalities import Equalities
 from rmrc.qp.program import QP, Solution, SolveStatus
 from rmrc.qp.relax import INCONSISTENT, least_violation
 from rmrc.qp.rows import Rows
@@ -63,14 +64,14 @@ class PythonEngine:
         self.backend = problem.config.solver.backend
         """What solves the programs."""
         self.evaluation = Evaluation(problem)
-        self.assembly = Assembly(problem, self.evaluation)
-        self.rows = Rows(problem, self.evaluation)
-        self._shortening = Shortening(problem) if problem.barriers else None
+        self._assembly = Assembly(problem, self.evaluation)
+        self._rows = self._new_rows()
+        self._shortening = self._new_shortening() if problem.barriers else None
         self._correction = Correction(problem) if problem.barriers else None
         self._solvers: dict[tuple[int, int, bool], _Solver] = {}
-        self._solver = self._solver_of(self.assembly.qp)
+        self._solver = self._solver_of(self._assembly.qp)
         hard = any(term.hard for term in self.evaluation.terms)
-        self._box_alone = not (self.rows.any or hard)
+        self._box_alone = not (self._rows.any or hard)
         self._cascade = Cascade(problem.dofs.size, self._new_backend) if problem.cascaded else None
         self.deadline = math.inf
         """When the step must be done, on the clock of `perf_counter`, s."""
@@ -82,6 +83,12 @@ class PythonEngine:
         """Whether a task that preserves its direction ran slower than asked at the last step."""
         self.share = 1.0
         """What the check at the next configuration left of the last command, from the brake on."""
+
+    def _new_rows(self) -> Rows:
+        return Rows(self.problem, self.evaluation)
+
+    def _new_shortening(self) -> Shortening:
+        return Shortening(self.problem)
 
     def _new_backend(self) -> Backend:
         solver = self.problem.config.solver
@@ -105,9 +112,19 @@ class PythonEngine:
         return self._solvers[key]
 
     @property
+    def assembly(self) -> Assembly:
+        """The program of the last step."""
+        return self._assembly
+
+    @property
+    def rows(self) -> Rows:
+        """The rows of the last step."""
+        return self._rows
+
+    @property
     def damped(self) -> bool:
         """Whether the damping of the last step was above its floor."""
-        return self.assembly.damped
+        return self._assembly.damped
 
     def stepper(self, q: Array, v: Array) -> "Stepper | None":
         """Return what takes a controller's common steps without Python; here nothing does."""
@@ -128,10 +145,13 @@ class PythonEngine:
         """
         self.outside = self.prepare(q, v_previous, dt)
         self.scaled = False
-        solution = self._best()
+        return self._finished(self._best(), dt)
+
+    def _finished(self, solution: Solution, dt: float) -> Solution:
+        """Return a solution, or what the rungs below have; shortened where it leads too far."""
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
-        if self._shortening is not None and self.rows.blocks:
+        if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
             self.share = 1.0
@@ -142,15 +162,20 @@ class PythonEngine:
 
         Return whether a joint is outside its range, or a distance below its limit.
         """
-        assembly = self.assembly
+        assembly = self._assembly
         self.evaluation.v_previous[:] = v_previous
         outside = self._assemble(q, dt)
         if self._box_alone:
             return outside
         equalities = assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
-        rows = self.rows
-        rows.update(assembly.qp, assembly.rate, dt)
+        self._rows.update(assembly.qp, assembly.rate, dt)
+        self._take_rows(equalities)
+        return outside or self._rows.passed
+
+    def _take_rows(self, equalities: Equalities | None = None) -> None:
+        """Write the rows, and equalities if there are any, into the program."""
+        assembly, rows = self._assembly, self._rows
         count = 0 if equalities is None else equalities.right.size
         if (rows.count, count) != (assembly.qp.lo.size, assembly.qp.f.size):
             assembly.resize(rows.count, count)
@@ -160,17 +185,16 @@ class PythonEngine:
         if equalities is not None:
             qp.E[:], qp.f[:] = equalities.matrix, equalities.right
         self._solver = self._solver_of(qp)
-        return outside or rows.passed
 
     def _assemble(self, q: Array, dt: float) -> bool:
         """Evaluate the terms and write the cost and the box; return whether a joint is outside."""
         self.evaluation.update(q)
         self.evaluation.evaluate()
-        return self.assembly.assemble(q, dt)
+        return self._assembly.assemble(q, dt)
 
     def _descend_ladder(self, failed: Solution) -> Solution:
         """Return the solution of the first rung that holds, from a cold start on."""
-        solution, qp = self._elsewhere(self._from_cold(failed)), self.assembly.qp
+        solution, qp = self._elsewhere(self._from_cold(failed)), self._assembly.qp
         if self._trusted(solution):
             return solution
         if not (qp.lo.size or qp.f.size):
@@ -194,7 +218,7 @@ class PythonEngine:
         if self._cascade is None:
             return self._attempt(self._solver)
         self._cascade.deadline = self.deadline
-        solution = self._cascade.solve(self.assembly.levels(), self.assembly.qp)
+        solution = self._cascade.solve(self._assembly.levels(), self._assembly.qp)
         self.scaled = self._cascade.scale < 1.0 - WHOLE
         return solution
 
@@ -215,7 +239,7 @@ class PythonEngine:
         refused = solution.status is SolveStatus.INFEASIBLE and not feasible
         if refused or self._trusted(solution) or self._cascade is not None or not self._in_time():
             return solution
-        other = self._solver_of(self.assembly.qp, other=True)
+        other = self._solver_of(self._assembly.qp, other=True)
         other.ready = False
         found = self._attempt(other)
         return found if self._trusted(found) else solution
@@ -243,7 +267,7 @@ class PythonEngine:
         primal, dual, complementarity = solution.kkt
         if primal > CERTIFIED:
             return False
-        largest, g = max(dual, complementarity), self.assembly.qp.g
+        largest, g = max(dual, complementarity), self._assembly.qp.g
         return largest <= CERTIFIED or largest <= CERTIFIED * math.sqrt(g.dot(g))
 
     @staticmethod
@@ -254,8 +278,8 @@ class PythonEngine:
 
     def _without_rows(self, qp: QP) -> Solution:
         """Return the optimum inside the box alone."""
-        self.assembly.resize(0, 0)
-        self._solver = self._solver_of(self.assembly.qp)
+        self._assembly.resize(0, 0)
+        self._solver = self._solver_of(self._assembly.qp)
         solution = self._attempt(self._solver)
         solution.row_multiplier = np.zeros(qp.lo.size)
         solution.equality_multiplier = np.zeros(qp.f.size)
@@ -270,18 +294,18 @@ class PythonEngine:
 
     def _brake(self) -> Array:
         """Return the point of the box nearest to rest."""
-        qp = self.assembly.qp
+        qp = self._assembly.qp
         v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
 
     def keep_distances(self, solution: Solution, dt: float) -> None:
         """Shorten v towards the brake where a distance would be passed at the end of the step."""
         self.share = 1.0
-        if self._shortening is None or not self.rows.blocks:
+        if self._shortening is None or not self._rows.blocks:
             return
         evaluation, brake = self.evaluation, self._brake()
         self.share, passed = self._shortening.share(
-            evaluation.data, evaluation.obstacle_twist, solution.v, brake, self.rows.blocks, dt
+            evaluation.data, evaluation.obstacle_twist, solution.v, brake, self._rows.blocks, dt
         )
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
@@ -293,7 +317,7 @@ class PythonEngine:
 
         Of the speed of a frame its norm counts, not the box inside it that the rows are.
         """
-        qp, rows = self.assembly.qp, self.rows
+        qp, rows = self._assembly.qp, self._rows
         if qp.f.size and np.abs(qp.E @ v - qp.f).max() > CERTIFIED:
             return True
         if qp.lo.size != rows.count:
@@ -312,12 +336,12 @@ class PythonEngine:
         """Return a solution that keeps distances: solved again for the curvature, or shortened."""
         whole, relaxed = solution.v, self.relaxed
         self.keep_distances(solution, dt)
-        qp, evaluation = self.assembly.qp, self.evaluation
-        untouched = self.share == 1.0 or qp.lo.size != self.rows.count
+        qp, evaluation = self._assembly.qp, self.evaluation
+        untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._correction is None or untouched or not self._in_time():
             return solution
         present = (evaluation.data, evaluation.obstacle_twist)
-        if not self._correction.raise_rows(qp, self.rows.blocks, present, whole, dt):
+        if not self._correction.raise_rows(qp, self._rows.blocks, present, whole, dt):
             return solution
         corrected = self._best()
         if not self._trusted(corrected):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rmrc import _native
 from rmrc.control.engine import PythonEngine
+from rmrc.control.native_rows import NativeRows, NativeShortening
 from rmrc.control.native_steps import Layout, Stepper, build_stepper
 from rmrc.errors import SolverError
 from rmrc.problem.frames import FrameHandle
@@ -29,10 +30,11 @@ from rmrc.problem.tasks.posture import PostureTerm
 from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
 from rmrc.problem.tasks.smooth import SmoothTerm
 from rmrc.problem.tasks.velocity import VelocityTerm
-from rmrc.qp.assemble import square_root
+from rmrc.qp.assemble import Assembly, square_root
 from rmrc.qp.backends import Backend, create
 from rmrc.qp.backends.native import MOST_CHANGES, Native
 from rmrc.qp.program import KKT, Solution, SolveStatus
+from rmrc.qp.rows import Rows
 
 Array = NDArray[np.float64]
 
@@ -43,6 +45,7 @@ FUNCTIONS = (
     "mj_fullM",
     "mj_integratePos",
     "mj_differentiatePos",
+    "mj_geomDistance",
 )
 """What the step calls of libmujoco, in the order in which the extension takes the addresses."""
 SINGULAR = 1e-13
@@ -122,12 +125,16 @@ class NativeEngine(PythonEngine):
     """
 
     name = "native"
+    _rows: NativeRows
+    _shortening: NativeShortening | None
 
     def __init__(self, problem: Problem):
         super().__init__(problem)
         self.backend = self.name
+        self.behind = False
+        """Whether the extension has taken a step whose rows have not been read."""
         model, data, evaluation = problem.model, self.evaluation.data, self.evaluation
-        assembly, qp, box = self.assembly, self.assembly.qp, problem.box
+        assembly, qp, box = self._assembly, self._assembly.qp, problem.box
         self._moves = dofs_of_bodies(model)
         self._moving = np.frombuffer(evaluation.moving, dtype=np.uint8)
         self._native = _native.Engine(
@@ -173,15 +180,31 @@ class NativeEngine(PythonEngine):
             for kind, evaluate in evaluation.evaluators.items()
             if kind not in _JOINT and not issubclass(kind, _ROWS)
         ]
-        self._alone = self._box_alone and not (
-            self._foreign or problem.mink_tasks or problem.cascaded
-        )
+        foreign = self._foreign or problem.mink_tasks or problem.mink_limits
+        hard = any(term.hard for term in evaluation.terms)
+        self._alone = not (foreign or hard or problem.cascaded)
+        if self._rows.any:
+            self._connect()
         self.layout = Layout(self)
         """Where the numbers of a step stand in what the extension has noted of it."""
 
+    def _new_rows(self) -> NativeRows:
+        return NativeRows(self.problem, self.evaluation)
+
+    def _new_shortening(self) -> NativeShortening:
+        return NativeShortening(self.problem)
+
+    def _connect(self) -> None:
+        """Hand the rows to the extension, and what checks the commands where they lead."""
+        rows, shortening = self._rows, self._shortening
+        rows.connect(self._native, self._assembly.rate)
+        if shortening is not None:
+            shortening.connect(rows, self.evaluation.obstacle_twist)
+        self._native.limit(rows.native, None if shortening is None else shortening.native)
+
     def _add(self, term: Term) -> None:
         """Hand a term to the extension."""
-        native, weight = self._native, self.assembly.leveled(term)
+        native, weight = self._native, self._assembly.leveled(term)
         if term.joint:
             native.add_joint_task(self._rows_of(term, weight), _JOINT.get(type(term), "foreign"))
             return
@@ -226,8 +249,7 @@ class NativeEngine(PythonEngine):
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:
         model, data = self.problem.model, self.evaluation.data
-        owners = {"site": model.site_bodyid, "geom": model.geom_bodyid}
-        body = frame.id if frame.kind == "body" else int(owners[frame.kind][frame.id])
+        body = frame.body(model)
         position, rotation = frame.views(data)
         com = data.subtree_com[model.body_rootid[body]]
         return _native.Frame(position, rotation, com, np.flatnonzero(self._moves[body]).tolist())
@@ -262,7 +284,7 @@ class NativeEngine(PythonEngine):
 
     def _adapt(self) -> None:
         """Hand the rule of the damping to the extension."""
-        adaptive, damping = self.assembly.adaptive, self.problem.config.damping
+        adaptive, damping = self._assembly.adaptive, self.problem.config.damping
         if not adaptive.adapts:
             return
         starts = [self.evaluation.rows_of([term]).start for term in self.evaluation.terms]
@@ -316,5 +338,48 @@ class NativeEngine(PythonEngine):
         self.evaluation.v_previous[:] = v_previous
         seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
-        status, iterations, *kkt, self.outside = self._native.solve(q, dt, seconds, both)
-        return Solution(both[0], both[1], _NONE, _NONE, iterations, SolveStatus(status), KKT(*kkt))
+        status, iterations, *kkt, self.outside, done = self._native.solve(q, dt, seconds, both)
+        y = _NONE
+        if not self._box_alone:
+            y = self._catch_up()
+            self.relaxed, self.share = False, 1.0
+        kkt = KKT(*kkt)
+        solution = Solution(both[0], both[1], y, _NONE, iterations, SolveStatus(status), kkt)
+        return solution if done else self._finished(solution, dt)
+
+    def _catch_up(self) -> Array:
+        """Have the rows of the last step where Python looks for them; return their multipliers."""
+        self.behind = False
+        multiplier = self._rows.read()
+        self._take_rows()
+        return multiplier
+
+    @property
+    def assembly(self) -> Assembly:
+        """The program of the last step."""
+        if self.behind:
+            self._catch_up()
+        return self._assembly
+
+    @property
+    def rows(self) -> Rows:
+        """The rows of the last step."""
+        if self.behind:
+            self._catch_up()
+        return self._rows
+
+    def _assemble(self, q: Array, dt: float) -> bool:
+        self.behind = False
+        self._native.evaluate(q)
+        self.evaluation.fill_constraints()
+        for evaluate in self._foreign:
+            evaluate()
+        outside = self._native.assemble(dt)
+        self._assembly.add_mink_tasks(dt)
+        return outside
+
+    def _new_backend(self) -> Backend:
+        return Native(self.problem.config.solver.max_iter)
+
+    def _other_backend(self) -> Backend:
+        return create("daqp", max_iter=self.problem.config.solver.max_iter)

@@ -13,6 +13,7 @@ from rmrc.control.progress import Progress
 from rmrc.control.step import Moment, Step
 from rmrc.problem.evaluation import Kept
 from rmrc.qp.program import KKT, Solution, SolveStatus
+from rmrc.qp.rows import KeptRows
 
 if TYPE_CHECKING:
     from rmrc.control.native import NativeEngine
@@ -56,11 +57,27 @@ class Layout:
         for name, shape in shapes.items():
             begin, end = end, end + math.prod(shape)
             self._parts[name] = (slice(begin, end), shape)
+        self._rows, self._end = engine.rows, end
 
     def part(self, record: _native.Record, name: str) -> Array:
         """Return a copy of an array by its name: a view would keep a record alive that keeps it."""
         place, shape = self._parts[name]
         return np.frombuffer(memoryview(record))[place].reshape(shape).copy()
+
+    def rows(self, record: _native.Record) -> tuple[KeptRows | None, Array]:
+        """Return the rows of a step, if it had any, and their multipliers."""
+        rows, barriers = self._rows, self._rows.barriers
+        numbers = np.frombuffer(memoryview(record))[self._end :].copy()
+        counts = numbers[: len(barriers)].astype(int).tolist()
+        if not numbers.size > len(barriers):
+            return None, _NONE
+        ids, lower, upper, multiplier = numbers[len(barriers) :].reshape(4, -1)
+        blocks, first = [], rows.speed_count
+        for barrier, count in zip(barriers, counts, strict=True):
+            part = slice(first, first + count)
+            blocks.append((barrier, ids[part].astype(np.intp), part))
+            first += count
+        return KeptRows(rows.speeds, blocks, lower, upper), multiplier
 
     def surroundings(self, record: _native.Record) -> Kept:
         """Return the error of a step, and what it depended on beside q and v_prev."""
@@ -84,8 +101,8 @@ class Record(_native.Record):
         """What the solver returned, with its certificate."""
         part = self.engine.layout.part
         v, z, kkt = self.v[self.engine.problem.dofs], part(self, "z"), part(self, "kkt")
-        status = SolveStatus(self.ending)
-        return Solution(v, z, _NONE, _NONE, self.iterations, status, KKT(*kkt.tolist()))
+        status, y = SolveStatus(self.ending), self.engine.layout.rows(self)[1]
+        return Solution(v, z, y, _NONE, self.iterations, status, KKT(*kkt.tolist()))
 
     @cached_property
     def moment(self) -> Moment:
@@ -93,7 +110,8 @@ class Record(_native.Record):
         layout = self.engine.layout
         q, v_previous = layout.part(self, "from"), layout.part(self, "v_previous")
         dt, at_rest = layout.part(self, "dt").item(), np.zeros_like(v_previous)
-        return Moment(self.engine, q, v_previous, at_rest, dt, layout.surroundings(self))
+        kept, rows = layout.surroundings(self), layout.rows(self)[0]
+        return Moment(self.engine, q, v_previous, at_rest, dt, kept, rows)
 
 
 def build_stepper(engine: "NativeEngine", native: _native.Engine, q: Array, v: Array) -> Stepper:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation, Kept
 from rmrc.qp.program import Solution
+from rmrc.qp.rows import KeptRows
 
 if TYPE_CHECKING:
     from rmrc.control.engine import PythonEngine
@@ -106,13 +107,16 @@ class Moment:
         a_previous: Array,
         dt: float,
         kept: Kept | None = None,
+        rows: KeptRows | None = None,
     ):
         self.engine = engine
         self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
-        self.share = engine.share
-        self._kept = engine.evaluation.keep() if kept is None else kept
+        if kept is None:
+            self._kept, self.share = engine.evaluation.keep(), engine.share
+            self._rows = engine.rows.kept() if engine.rows.count else None
+        else:
+            self._kept, self.share, self._rows = kept, 1.0, rows
         self.error = self._kept.error
-        self._rows = engine.rows.kept() if engine.rows.count else None
 
     @contextmanager
     def restored(self) -> Iterator[None]:

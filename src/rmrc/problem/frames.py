@@ -83,6 +83,11 @@ class FrameHandle:
         position, matrix = _POSES[self.kind]
         return getattr(data, position)[self.id], getattr(data, matrix)[self.id]
 
+    def body(self, model: mujoco.MjModel) -> int:
+        """Return the body that the frame is fixed to."""
+        owners = {"site": model.site_bodyid, "geom": model.geom_bodyid}
+        return self.id if self.kind == "body" else int(owners[self.kind][self.id])
+
     def pose_at(self, model: mujoco.MjModel, q: Array) -> Array:
         """Return the frame's pose (7,), wxyz + xyz, at a configuration (nq,)."""
         data = mujoco.MjData(model)

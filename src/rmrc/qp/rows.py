@@ -169,7 +169,13 @@ class Rows:
 
     def kept(self) -> "KeptRows":
         """Return what the present rows are of, for later."""
-        return KeptRows([speed for speed, _ in self._speeds], self.blocks, self.lower, self.upper)
+        blocks = [(block.barrier, block.near.ids, block.rows) for block in self.blocks]
+        return KeptRows(self.speeds, blocks, self.lower, self.upper)
+
+    @property
+    def speeds(self) -> list[SpeedRows]:
+        """The speeds whose rows come first."""
+        return [speed for speed, _ in self._speeds]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +183,8 @@ class KeptRows:
     """What the rows of a step are of, and where they stand."""
 
     speeds: list[SpeedRows]
-    blocks: list[Block]
+    blocks: list[tuple[Barrier, NDArray[np.intp], slice]]
+    """The barriers that have rows, with the ids of their entries and the rows' place."""
     lower: Array
     upper: Array
 
@@ -191,8 +198,7 @@ class KeptRows:
             if row < first + speed.count:
                 return "speed", speed.limit.task
             first += speed.count
-        for block in self.blocks:
-            if block.rows.start <= row < block.rows.stop:
-                identity = int(block.near.ids[row - block.rows.start])
-                return block.barrier.kind, block.barrier.name(identity)
+        for barrier, ids, rows in self.blocks:
+            if rows.start <= row < rows.stop:
+                return barrier.kind, barrier.name(int(ids[row - rows.start]))
         return "mink", f"row {row - first}"

@@ -63,8 +63,8 @@ class BallRange(Barrier):
 
     def __init__(self, model: mujoco.MjModel, spec: BallRanges):
         self.gain, self.push = spec.gain, math.inf  # the box says how fast a joint comes back
-        self._model, self._spec = model, spec
-        count = spec.joints.size
+        self._model, self.spec = model, spec
+        self.size = count = spec.joints.size
         self._ids = np.arange(count)
         self._quaternion = model.jnt_qposadr[spec.joints][:, None] + np.arange(4)
         self._dofs = model.jnt_dofadr[spec.joints][:, None] + np.arange(3)
@@ -75,11 +75,11 @@ class BallRange(Barrier):
         angle, axis = self._rotation(data)
         slope = np.zeros((self._ids.size, self._model.nv))
         np.put_along_axis(slope, self._dofs, -axis, axis=1)
-        return Near(self._ids, self._spec.largest - angle, slope, self._none)
+        return Near(self._ids, self.spec.largest - angle, slope, self._none)
 
     def distances(self, data: mujoco.MjData, ids: Ids) -> Array:
         """Return h of some joints (k,)."""
-        return (self._spec.largest - self._rotation(data)[0])[ids]
+        return (self.spec.largest - self._rotation(data)[0])[ids]
 
     def reach(self, ids: Ids, step: Array, dt: float) -> Array:
         """Return ‖Δq‖ of each joint: no rotation adds more than its own angle to another."""
@@ -87,7 +87,7 @@ class BallRange(Barrier):
 
     def name(self, identity: int) -> str:
         """Return the joint's name."""
-        return joint_name(self._model, int(self._spec.joints[identity]))
+        return joint_name(self._model, int(self.spec.joints[identity]))
 
     def least(self, data: mujoco.MjData) -> tuple[float, int]:
         """Return the least h and the joint's place in the list."""

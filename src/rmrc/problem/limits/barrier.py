@@ -50,6 +50,8 @@ class Barrier(ABC):
     """The limit it belongs to, as the configuration names it."""
     unit: ClassVar[str]
     """m or rad."""
+    size: int
+    """How many entries it has."""
     gain: float
     """Share of h that a step may use, in (0, 1]."""
     push: float

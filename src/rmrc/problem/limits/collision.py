@@ -1,7 +1,7 @@
 """The collision barrier: pairs of geoms stay apart, measured only where they may be near."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from rmrc.config.limits import CollisionLimit
 from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
-from rmrc.problem.limits.extents import extents, half_thickness, levers
+from rmrc.problem.limits.extents import half_thickness, levers
+from rmrc.problem.limits.movement import Movement
 from rmrc.problem.limits.pairs import pair_name, resolve_pairs
 from rmrc.problem.limits.separation import Separation, Turning
 
@@ -83,11 +84,12 @@ class Collision(Barrier):
     unit: ClassVar[str] = "m"
 
     def __init__(self, model: mujoco.MjModel, spec: CollisionPairs, obstacle_twist: Array):
-        self.gain, self.push = spec.gain, spec.push
+        self.gain, self.push, self.spec = spec.gain, spec.push, spec
         self._model, self._d_min, self._detect = model, spec.d_min, spec.detect
         self._twist = obstacle_twist
-        count = len(spec.geoms)
-        self._geoms, self._bodies = spec.geoms, model.geom_bodyid[spec.geoms].astype(np.intp)
+        self.size = count = len(spec.geoms)
+        self._geoms = np.ascontiguousarray(spec.geoms)
+        self._bodies = model.geom_bodyid[self._geoms].astype(np.intp)
         self._body_a, self._body_b = self._bodies.T.copy()
         self._plane = model.geom_type[spec.geoms[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE
         self._radii = model.geom_rbound[spec.geoms].sum(axis=1)
@@ -105,19 +107,19 @@ class Collision(Barrier):
         ball = {g: half_thickness(model, g) for g in np.unique(spec.geoms).tolist()}
         self._thickness = self._d_min + np.array([min(ball[a], ball[b]) for a, b in spec.geoms])
         self._dof_root = model.body_rootid[model.dof_bodyid]
-        self._movement = _Movement(model, spec.geoms)
+        self._movement = Movement(model, spec.geoms)
 
         self._bound = np.full(count, -np.inf)
         """A lower bound of the distance of each pair at the poses of reference; ∞ where active."""
         self._threshold = np.full(count, self._detect)
         """Distance below which each pair becomes active, at the travel of reference."""
-        self._room = -np.inf
+        self._room = np.full(1, -np.inf)
         """How much nearer the geoms can come before a pair may become active."""
-        self._active: list[int] = []
+        self._active = np.zeros(count, dtype=np.bool_)
         self._distance = np.zeros(count)
         """The distance of each pair where it was measured last."""
-        self._measured: set[int] = set()
-        """The pairs measured at the poses of now."""
+        self._measured = np.zeros(count, dtype=np.bool_)
+        """Whether each pair was measured at the poses of now."""
         self._segments = np.zeros((count, 6))
         self._normals = np.zeros((count, 3))
         self._travel = np.zeros(model.nv + 6 * model.nmocap)
@@ -130,12 +132,14 @@ class Collision(Barrier):
         motion = self._movement.bound(data)
         self._extend(travel, dt)
         grown = float(np.fmax(self._travel_now - self._travel, 0.0).dot(self._longest))
-        if not motion + grown < self._room:
+        room = self._room.item()
+        if not motion + grown < room:
             moved = self._movement.moved()
-            if not 2.0 * float(moved.max()) + grown < self._room:
+            if not 2.0 * float(moved.max()) + grown < room:
                 self._activate(data, moved)
                 motion = 0.0
-        return self._near(data, motion) if self._active else self._none
+        active = self._active.nonzero()[0]
+        return self._near(data, active, motion) if active.size else self._none
 
     def _activate(self, data: mujoco.MjData, moved: Array) -> None:
         """Make the poses of now those of reference, and find the pairs that are near there."""
@@ -145,23 +149,21 @@ class Collision(Barrier):
         for pair in self._renew(data, self._threshold).tolist():
             self._bound[pair] = self._measure(data, pair)
             if not self._bound[pair] > self._threshold[pair]:
-                self._active.append(pair)
+                self._active[pair] = True
                 self._bound[pair] = np.inf
-        self._active.sort()
-        self._room = float((self._bound - self._threshold).min())
+        self._room[0] = (self._bound - self._threshold).min()
 
-    def _near(self, data: mujoco.MjData, motion: float) -> Near:
+    def _near(self, data: mujoco.MjData, active: Ids, motion: float) -> Near:
         """Return the active pairs after letting go of those that are far enough."""
-        if self._movement.since_seen(data):
-            self._measured.clear()
-        leave = LEAVE * self._thresholds(self._active)
-        for pair, most in zip(tuple(self._active), leave.tolist(), strict=True):
+        self._look(data)
+        leave = LEAVE * self._thresholds(active)
+        for pair, most in zip(active.tolist(), leave.tolist(), strict=True):
             if self._measure(data, pair) > most:
-                self._active.remove(pair)
+                self._active[pair] = False
                 # Known at the poses of now, and at those of reference less by the way between.
                 self._bound[pair] = self._distance[pair] - motion
-                self._room = min(self._room, float(self._bound[pair] - self._threshold[pair]))
-        ids = np.array(self._active, dtype=np.intp)
+                self._room[0] = min(self._room[0], self._bound[pair] - self._threshold[pair])
+        ids = self._active.nonzero()[0]
         normals = self._directions(data, ids)
         distance = self._distance[ids] - self._d_min
         return Near(
@@ -204,6 +206,48 @@ class Collision(Barrier):
         across = self._distance[ids] + reach + self._turning.width[ids]
         return levers, levers + self._carries[ids] * across[:, None], self._moves[ids]
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that `near` reads and writes, so that other code may go on from any step.
+
+        Of pairs (p, …) where nothing else is said: see `native/collision.hpp`.
+        """
+        turning = self._turning
+        fixed = {
+            "geoms": self._geoms,
+            "body": self._bodies,
+            "root": self._model.body_rootid[self._bodies].astype(np.intp),
+            "mocap": self._mocap.astype(np.intp),
+            "plane": self._plane,
+            "doubtful": np.array([doubtful for _, _, doubtful in self._measures]),
+            "size": self._model.geom_size,
+            "radii": self._radii,
+            "thickness": self._thickness,
+            "levers": self._levers,
+            "side": self._side,
+            "longest": self._longest,
+            "dof_root": self._dof_root.astype(np.intp),
+            "base": turning.base,
+            "other": turning.other,
+            "spread": turning.spread,
+            "width": turning.width,
+            "sign": turning.sign,
+            "carries": self._carries,
+            "moves": self._moves,
+        }
+        kept = {
+            "bound": self._bound,
+            "threshold": self._threshold,
+            "distance": self._distance,
+            "segments": self._segments,
+            "normals": self._normals,
+            "active": self._active,
+            "measured": self._measured,
+            "room": self._room,
+            "travel": self._travel,
+        }
+        contiguous = {name: np.ascontiguousarray(array) for name, array in fixed.items()}
+        return contiguous | kept | self._movement.arrays()
+
     def name(self, identity: int) -> str:
         """Return the names of the two geoms."""
         return pair_name(self._model, *self._geoms[identity].tolist())
@@ -211,16 +255,15 @@ class Collision(Barrier):
     def least(self, data: mujoco.MjData) -> tuple[float, int]:
         """Return the least h of all pairs, exact below `detect`, and the pair."""
         motion = self._movement.bound(data)
-        if self._movement.since_seen(data):
-            self._measured.clear()
+        self._look(data)
         nearest = int(self._bound.argmin())
         if not self._bound[nearest] - motion > self._detect:
             self._advance(data, self._movement.moved())
             self._renew(data, np.full_like(self._bound, self._detect))
             nearest, motion = self._nearest(data), 0.0
-            self._room = float((self._bound - self._threshold).min())
+            self._room[0] = (self._bound - self._threshold).min()
         least = float(self._bound[nearest]) - motion
-        for pair in self._active:
+        for pair in self._active.nonzero()[0].tolist():
             if not self._measure(data, pair) > least:
                 least, nearest = float(self._distance[pair]), pair
         return least - self._d_min, nearest
@@ -243,7 +286,7 @@ class Collision(Barrier):
         if self._twist.size:
             np.multiply(np.abs(self._twist).ravel(), dt, out=self._travel_now[nv:])
 
-    def _thresholds(self, pairs: slice | list[int]) -> Array:
+    def _thresholds(self, pairs: slice | Ids) -> Array:
         """Return the distances below which pairs become active, with the travel of now."""
         near = self._levers[pairs] @ self._travel_now + self._d_min
         return np.clip(near, self._detect, 0.5 * FARTHEST)
@@ -253,8 +296,12 @@ class Collision(Barrier):
         self._bound -= moved.take(self._body_a)
         self._bound -= moved.take(self._body_b)
         self._movement.restart(data)
+        self._look(data)
+
+    def _look(self, data: mujoco.MjData) -> None:
+        """Forget what was measured at other poses."""
         if self._movement.since_seen(data):
-            self._measured.clear()
+            self._measured[:] = False
 
     def _renew(self, data: mujoco.MjData, level: Array) -> Ids:
         """Raise the bounds below a level (p,) to those of the bounding spheres, if far above it.
@@ -275,11 +322,11 @@ class Collision(Barrier):
 
     def _measure(self, data: mujoco.MjData, pair: int) -> float:
         """Return the distance of a pair at the poses of now."""
-        if pair not in self._measured:
+        if not self._measured[pair]:
             self._distance[pair] = signed_distance(
                 self._model, data, self._measures[pair], FARTHEST, self._segments[pair]
             )
-            self._measured.add(pair)
+            self._measured[pair] = True
         return float(self._distance[pair])
 
     def _directions(self, data: mujoco.MjData, ids: Ids) -> Array:
@@ -331,47 +378,6 @@ class Collision(Barrier):
             speed = normals[k] @ twist[:3] + np.cross(arm, normals[k]) @ twist[3:]
             drifts[k] += speed if side else -speed
         return drifts
-
-
-class _Movement:
-    """How far the geoms have moved since poses of reference, at most."""
-
-    def __init__(self, model: mujoco.MjModel, geoms: Ids):
-        self._position, self._quaternion = np.zeros((model.nbody, 3)), np.zeros((model.nbody, 4))
-        self._seen_position = np.full((model.nbody, 3), np.nan)
-        self._seen_quaternion = np.full((model.nbody, 4), np.nan)
-        self._shift, self._turn = np.zeros((model.nbody, 3)), np.zeros((model.nbody, 4))
-        reach = np.zeros(model.nbody)
-        np.maximum.at(reach, model.geom_bodyid[geoms], extents(model)[geoms])
-        # A rotation moves a point at the distance ρ by at most 2ρ times the quaternion's change.
-        self._lever = np.repeat(2.0 * reach[:, None], 4, axis=1)
-
-    def bound(self, data: mujoco.MjData) -> float:
-        """Return how much nearer two geoms can have come to each other, at most."""
-        shift, turn = self._shift, self._turn
-        np.subtract(data.xpos, self._position, out=shift)
-        np.subtract(data.xquat, self._quaternion, out=turn)
-        np.multiply(turn, self._lever, out=turn)
-        # The sum of two of the bodies' motions is at most √2 times the norm of all.
-        return 1.4143 * float(np.sqrt(np.vdot(shift, shift)) + np.sqrt(np.vdot(turn, turn)))
-
-    def moved(self) -> Array:
-        """Return how far each body's geoms moved (nbody,), up to the poses of the last `bound`."""
-        moved = np.sqrt(np.einsum("ij,ij->i", self._shift, self._shift))
-        moved += np.sqrt(np.einsum("ij,ij->i", self._turn, self._turn))
-        return moved
-
-    def restart(self, data: mujoco.MjData) -> None:
-        """Make the poses of now those of reference."""
-        self._position[:], self._quaternion[:] = data.xpos, data.xquat
-
-    def since_seen(self, data: mujoco.MjData) -> bool:
-        """Return whether the poses are others than at the last call."""
-        position, quaternion = self._seen_position, self._seen_quaternion
-        if (data.xpos == position).all() and (data.xquat == quaternion).all():
-            return False
-        position[:], quaternion[:] = data.xpos, data.xquat
-        return True
 
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])

@@ -92,19 +92,19 @@ class Workspace(Barrier):
 
     def __init__(self, model: mujoco.MjModel, spec: WorkspacePlanes, obstacle_twist: Array):
         self.gain, self.push = spec.gain, spec.push
-        self._model, self._planes, self._twist = model, spec.planes, obstacle_twist
-        self._ids = np.arange(len(spec.planes))
+        self._model, self.planes, self._twist = model, spec.planes, obstacle_twist
+        self.size, self._ids = len(spec.planes), np.arange(len(spec.planes))
         self._normal = np.array([plane.normal for plane in spec.planes])
         self._offset = np.array([plane.offset for plane in spec.planes])
         self._jacobian = np.zeros((3, model.nv))
         bodies = [_body(model, plane.frame)[0] for plane in spec.planes]
         self._mocap = model.body_mocapid[model.body_rootid[bodies]]
-        self._levers = np.array([levers(model, plane.frame) for plane in spec.planes])
+        self.levers = np.array([levers(model, plane.frame) for plane in spec.planes])
 
     def near(self, data: mujoco.MjData, travel: Array, dt: float) -> Near:
         """Return all planes."""
         slope = np.empty((self._ids.size, self._model.nv))
-        for plane, row in zip(self._planes, slope, strict=True):
+        for plane, row in zip(self.planes, slope, strict=True):
             plane.frame.jacobian(self._model, data, self._jacobian, None, plane.frame.id)
             plane.normal.dot(self._jacobian, row)
         position = self._positions(data)
@@ -117,11 +117,11 @@ class Workspace(Barrier):
     def reach(self, ids: Ids, step: Array, dt: float) -> Array:
         """Return the sum of the levers' motions, more than which no chain can move its frame."""
         motion = np.concatenate([np.abs(step), np.abs(self._twist).ravel() * dt])
-        return self._levers[ids] @ motion
+        return self.levers[ids] @ motion
 
     def name(self, identity: int) -> str:
         """Return the plane's label."""
-        return self._planes[identity].label
+        return self.planes[identity].label
 
     def least(self, data: mujoco.MjData) -> tuple[float, int]:
         """Return the least h and the plane's place in the list."""
@@ -130,7 +130,7 @@ class Workspace(Barrier):
         return float(distances[least]), least
 
     def _positions(self, data: mujoco.MjData) -> Array:
-        return np.array([plane.frame.views(data)[0] for plane in self._planes])
+        return np.array([plane.frame.views(data)[0] for plane in self.planes])
 
     def _distances(self, position: Array) -> Array:
         return np.einsum("ij,ij->i", self._normal, position) - self._offset
@@ -152,10 +152,7 @@ def levers(model: mujoco.MjModel, frame: FrameHandle) -> Array:
 
 def _body(model: mujoco.MjModel, frame: FrameHandle) -> tuple[int, float]:
     """Return the body that a frame is fixed to, and the distance of their origins in m."""
+    positions = {"site": model.site_pos, "geom": model.geom_pos}
     if frame.kind == "body":
         return frame.id, 0.0
-    owner, position = {
-        "site": (model.site_bodyid, model.site_pos),
-        "geom": (model.geom_bodyid, model.geom_pos),
-    }[frame.kind]
-    return int(owner[frame.id]), float(np.linalg.norm(position[frame.id]))
+    return frame.body(model), float(np.linalg.norm(positions[frame.kind][frame.id]))

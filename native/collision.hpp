@@ -1,0 +1,86 @@
+// The collision barrier: pairs of geoms stay apart, measured only where they may be near.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "barrier.hpp"
+#include "distance.hpp"
+
+namespace rmrc {
+
+/// The arrays of a rmrc.problem.limits.collision.Collision, which may go on from any step of this
+/// one's and the other way round; of pairs (p, …) where nothing else is said.
+struct PairArrays {
+  int pairs, bodies, mocaps;
+  double d_min, detect, gain, push;
+  const std::int64_t *geoms, *body, *root, *mocap;  // (p, 2); mocap −1 for what stands on none
+  const std::uint8_t *plane, *doubtful;
+  const double *size;                               // of the geoms (ngeom, 3)
+  const double *radii, *thickness, *levers, *side;  // levers (p, nv + 6 mocaps), side (p, nv)
+  const double* longest;                            // the largest of each lever
+  const std::int64_t* dof_root;                     // (nv,)
+  const double* reach;                              // twice how far a body's geoms reach (bodies,)
+  const std::int64_t *base, *other;                 // of the planes between the geoms
+  const double *spread, *width, *sign, *carries, *moves;  // carries and moves (p, nv)
+  const double* twist;                              // of the mocap bodies (mocaps, 6)
+  // What a step leaves to the next.
+  double *bound, *threshold, *distance, *segments, *normals;
+  std::uint8_t *active, *measured;
+  double *room, *travel;
+  double *position, *quaternion, *seen_position, *seen_quaternion;
+};
+
+/// A plane between the geoms of a pair, carried by one of them: rmrc's Separation.
+struct PairPlane {
+  double distance, offset;
+  double normal[3], seen[3];
+};
+
+/// h = d − d_min of each pair: rmrc.problem.limits.collision.Collision.
+class Collision final : public Barrier {
+ public:
+  Collision(const PairArrays& arrays, const MuJoCo& mujoco);
+
+  void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
+  double distance(const Kinematics& at, int id) const override;
+  double reach(int id, const double* step, double dt) const override;
+  double thickness(int id) const override { return a_.thickness[id]; }
+
+  /// Return the plane between an active pair, as it was last given by `near`.
+  PairPlane plane(const Kinematics& now, int id) const;
+
+  /// Return what that plane says of h at other kinematics, at least.
+  double least(const Kinematics& at, int id, const PairPlane& plane) const;
+
+  /// Return the most by which h falls in a step |Δq| (nv,), and what least h is known accelerates
+  /// at most with |q̇| and |q̈| (nv,), for a pair that comes no further apart than by `reach`.
+  double fall(int id, const double* step) const;
+  double bend(int id, double reach, const double* speed, const double* change) const;
+
+ private:
+  template <class Action>
+  void each_active(Action action) const;
+  double bound(const Kinematics& now);
+  double most_moved();
+  void extend(const double* travel, double dt);
+  double grown() const;
+  double threshold(int id) const;
+  void activate(const Kinematics& now);
+  bool is_far(const Kinematics& now, int id, double level);
+  double measure(const Kinematics& now, int id);
+  void look(const Kinematics& now);
+  void release(const Kinematics& now, double motion);
+  void direct(const Kinematics& now, int id);
+  void differentiate(const Kinematics& now, int id, double* slope) const;
+  double drift(const Kinematics& now, int id) const;
+  GeomPair pair(int id) const;
+
+  PairArrays a_;
+  const MuJoCo& mujoco_;
+  int nv_, width_;
+  std::vector<double> travel_, moved_;  // (nv + 6 mocaps,), (bodies,)
+  std::vector<double> origin_;          // velocity of the point at the world's origin (nv, 3)
+};
+
+}  // namespace rmrc

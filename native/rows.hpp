@@ -1,0 +1,78 @@
+// The rows lo ≤ C v ≤ hi of a step: speeds of frames, and barriers.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "barrier.hpp"
+#include "mujoco.hpp"
+#include "speed.hpp"
+
+namespace rmrc {
+
+/// Where the rows of a step stand, arrays with room for all that there can be.
+struct RowArrays {
+  double *matrix, *lower, *upper, *multiplier;  // C (capacity, n), lo, hi and y (capacity,)
+  std::int64_t* ids;                            // of the entries behind the rows of barriers
+  double *distance, *slope, *drift;             // (capacity,), (capacity, nv), (capacity,)
+};
+
+/// The rows of one barrier in the present step.
+struct Block {
+  Barrier* barrier;
+  int first, count;  // among all rows
+};
+
+/// Gathers the rows of a step: rmrc.qp.rows.Rows, but for the limits of mink's.
+class Rows {
+ public:
+  /// `inverse_acceleration` (n,) is 1/a_max, 0 without a limit.
+  Rows(const MuJoCo& mujoco, const Kinematics& now, std::vector<int> dofs, std::vector<int> place,
+       std::vector<double> inverse_acceleration, const RowArrays& arrays, int capacity);
+
+  void add(SpeedRows speed);
+  void add(std::unique_ptr<Barrier> barrier);
+
+  /// Write the rows at the present kinematics for a step of dt inside a box lb, ub (n,).
+  void update(const double* lb, const double* ub, double dt);
+
+  int capacity() const { return capacity_; }
+  int count() const { return count_; }
+  const RowArrays& arrays() const { return arrays_; }
+  const Kinematics& now() const { return now_; }
+  const MuJoCo& mujoco() const { return mujoco_; }
+  const std::vector<int>& dofs() const { return dofs_; }
+
+  /// All barriers, those without a row included.
+  const std::vector<Block>& blocks() const { return blocks_; }
+
+  /// Whether a distance is below its limit.
+  bool passed() const { return passed_; }
+
+  /// What each row is known by from step to step, in ascending order (count,).
+  const std::int64_t* keys() const { return keys_.data(); }
+
+ private:
+  void limit(const double* lb, const double* ub, double dt);
+  double lower(const Barrier& barrier, int row, double dt) const;
+  double stopping(double distance, const double* slope, double dt) const;
+  void add_block(std::int64_t which, double dt);
+
+  MuJoCo mujoco_;
+  Kinematics now_;
+  std::vector<int> dofs_, place_;
+  std::vector<double> inverse_acceleration_;
+  RowArrays arrays_;
+  int capacity_, room_ = 0;
+  bool stops_;
+  std::vector<SpeedRows> speeds_;
+  std::vector<std::unique_ptr<Barrier>> barriers_;
+  std::vector<Block> blocks_;
+  int count_ = 0;
+  bool passed_ = false;
+  std::vector<double> travel_, low_, high_;  // (nv,), (n,)
+  std::vector<std::int64_t> keys_;
+};
+
+}  // namespace rmrc
