@@ -1,9 +1,10 @@
 """What the guarantees cost: the step with limits of acceleration, adaptive damping, collision rows.
 
 Each row stands beside mink's step for the same scene, tasks, gains and limits, in short turns as
-in `step.py`. mink has no adaptive damping and none of a stopping distance: it runs without. Its collision limit gets the same pairs of geoms, least distance and
-distance of detection. Prints medians, p99 and the ratio of the medians, with the mean number of
-rows of the program; `--json FILE` writes the figures under `safety`, beside what is there.
+in `step.py`. mink has no adaptive damping and none of a stopping distance: it runs without. Its
+collision limit gets the same pairs of geoms, least distance and distance of detection. Prints
+medians, p99 and p99.9, with the mean number of rows of the program; `--json FILE` writes the
+figures under `safety`, beside what is there.
 """
 
 import dataclasses

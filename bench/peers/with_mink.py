@@ -34,9 +34,10 @@ def build(work: Work, solver: str) -> Side:
     com = mink.ComTask(1.0, gain=work["gain"])
     if centres is not None:
         tasks.append(com)
+    speeds: dict[str, Any] = dict.fromkeys(work["joints"], work["speed"])
     limits: list[Any] = [
         mink.ConfigurationLimit(model, gain=work["position_gain"]),
-        mink.VelocityLimit(model, dict.fromkeys(work["joints"], work["speed"])),
+        mink.VelocityLimit(model, speeds),
     ]
     if work["collision"]:
         limits.append(mink.CollisionAvoidanceLimit(model, **work["collision"]))
