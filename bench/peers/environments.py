@@ -31,7 +31,7 @@ def make(name: str) -> None:
     if stamp.is_file() and stamp.read_text() == required:
         return
     print(f"making bench/peers/.venvs/{name}", flush=True)
-    pip = ("-m", "pip", "--quiet", "--disable-pip-version-check")
+    pip = ("-m", "pip", "-qq", "--disable-pip-version-check")
     wanted = required.split()
     folder.mkdir(parents=True, exist_ok=True)
     if name == "robots":
