@@ -20,7 +20,7 @@ TITLES = {
 
 def table(step: dict[str, Any]) -> str:
     """Return the figures of the whole step as Markdown."""
-    versions: dict[str, str] = {}
+    versions: dict[str, None] = {}  # in the order of the sides
     rows = [
         "| robot, tasks | side | median, µs | p99 | p99.9 | times rmrc |",
         "|---|---|---|---|---|---|",
@@ -28,14 +28,16 @@ def table(step: dict[str, Any]) -> str:
     for row in step["rows"]:
         title = TITLES[row["case"]]
         for side, each in row["sides"].items():
-            versions |= each["versions"]
+            if side == "python" and row["sides"]["rmrc"]["solver"] == "python":
+                continue  # the same engine once more
+            words = (f"{name} {version}" for name, version in each["versions"].items())
+            versions[" with ".join(words)] = None
             engine = f"{side}, {each['solver']}" if side != "python" else NAMES[side]
             times = (each[key] for key in ("median_us", "p99_us", "p99.9_us"))
             shown = " | ".join(f"{time:.1f}" for time in times)
             rows.append(f"| {title} | {engine} | {shown} | {each['times_rmrc']:.1f} |")
             title = ""
-    found = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))
-    return "\n".join(rows) + f"\n\n{step['machine']}; {found}.\n"
+    return "\n".join(rows) + f"\n\n{step['machine']}; {', '.join(versions)}.\n"
 
 
 def main() -> None:
