@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 import rmrc
-from peers.robots import ROBOT, write_robot
+from peers.descriptions import ROBOT, write_robot
 from rmrc.problem.limits.collision import CollisionPairs
 from rmrc.problem.limits.joints import HINGE_SPEED
 from rmrc.problem.problem import Problem

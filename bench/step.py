@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from cases import ALOHA, COLLISION, DT, G1, PANDA, Case, prepare
-from peers.robots import ROBOT
+from peers.descriptions import ROBOT
 from rmrc.errors import RmrcError
 from sides import SIDES, compare, environment
 from timing import COLD, RUN, machine, parser, turns, write
