@@ -3,7 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-slow lint bench soak schema clean
+.PHONY: demo test test-slow lint bench instructions soak schema clean
+
+# Of BLAS: at the size of a step more threads only add noise.
+ONE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 # What the extension is built from.
 NATIVE := $(wildcard native/*.cpp native/*.hpp native/CMakeLists.txt)
@@ -34,17 +37,23 @@ lint: $(VENV)/test.stamp
 	$(BIN)/pyright
 
 bench: $(VENV)/test.stamp
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/step.py --json bench/results.json
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/methods.py
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/safety.py --json bench/results.json
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/batch.py --json bench/results.json
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/jitter.py --json bench/results.json
+	$(BIN)/python bench/peers/environments.py
+	$(ONE) $(BIN)/python bench/step.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/methods.py
+	$(ONE) $(BIN)/python bench/safety.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/batch.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/jitter.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/scaling.py --json bench/results.json --plot docs/scaling.svg
+	$(BIN)/python bench/table.py
+
+instructions: $(VENV)/test.stamp
+	$(ONE) $(BIN)/python bench/instructions.py --check
 
 soak: $(VENV)/test.stamp
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python bench/soak.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/soak.py --json bench/results.json
 
 schema: $(VENV)/test.stamp
 	$(BIN)/rmrc schema > rmrc.schema.json
 
 clean:
-	rm -rf $(VENV) runs comparisons .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) bench/peers/.venvs runs comparisons .pytest_cache .ruff_cache .hypothesis

@@ -1,106 +1,66 @@
 """What the guarantees cost: the step with limits of acceleration, adaptive damping, collision rows.
 
-Each row stands beside mink's step for the same scene, tasks, gains and limits, in one process and
-in short runs that alternate, as in `step.py`. mink has no adaptive damping and none of a stopping
-distance: it runs without. Its collision limit gets the same pairs of geoms, least distance and
-distance of detection. Prints medians, p99 and the ratio of the medians, with the mean number of
-rows of the program; `--json FILE` writes the figures under `safety`, beside what is there.
+Each row stands beside mink's step for the same scene, tasks, gains and limits, in short turns as
+in `step.py`. mink has no adaptive damping and none of a stopping distance: it runs without. Its
+collision limit gets the same pairs of geoms, least distance and distance of detection. Prints
+medians, p99 and p99.9, with the mean number of rows of the program; `--json FILE` writes the
+figures under `safety`, beside what is there.
 """
 
-from dataclasses import dataclass
+import dataclasses
+import tempfile
+from pathlib import Path
 from typing import Any
 
-import mink
-
 import rmrc
-from rmrc.problem.limits.collision import CollisionPairs
+from cases import ALOHA, COLLISION, G1, LAMBDA, PANDA, Case, collision, offsets, prepare
 from rmrc.problem.problem import Problem
-from step import CASES, LAMBDA, Case, compile_case, fastest_solver, minks, offsets, ours
-from timing import RUN, alternating, figures, machine, parser, write
+from sides import compare, environment
+from timing import COLD, RUN, machine, parser, turns, write
 
 WARM_UP, STEPS = 200, 2000
 ACCELERATION = {"acceleration": {"default": 15.0}}  # rad/s² or m/s²
 ADAPTIVE = {"lambda": LAMBDA, "adapt": "sigma_min", "threshold": 0.05}
-COLLISION = {"collision": {"pairs": "all", "gain": 0.85}}
-"""With mink's own gain, and our distances: with its own, 5 and 10 mm, no pair would be near."""
+SIDES = ("rmrc", "mink")
 
-ALOHA = Case(
-    "aloha", "menagerie:aloha/scene", (("site", "left/gripper"), ("site", "right/gripper"))
-)
-
-
-@dataclass(frozen=True)
-class Guarded:
-    """A case, and the parts of its configuration that guard it."""
-
-    case: Case
-    name: str
-    others: dict[str, Any]
-
-
-APART = {"start": "neutral_pose"}
-"""Without it the arms of ALOHA start inside each other."""
-
+GUARDS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "acceleration": {"limits": ACCELERATION},
+    "sigma_min": {"damping": ADAPTIVE},
+}
 GUARDED = (
-    *(
-        Guarded(case, name, start | others)
-        for case, start in (*((case, {}) for case in CASES), (ALOHA, APART))
-        for name, others in (
-            ("plain", {}),
-            ("acceleration", {"limits": ACCELERATION}),
-            ("sigma_min", {"damping": ADAPTIVE}),
-        )
-    ),
-    Guarded(ALOHA, "collision", APART | {"limits": COLLISION}),
-    Guarded(ALOHA, "both limits", APART | {"limits": COLLISION | ACCELERATION}),
+    *((case, name, others) for case in (PANDA, G1, ALOHA) for name, others in GUARDS.items()),
+    (ALOHA, "collision", {"limits": COLLISION}),
+    (ALOHA, "both limits", {"limits": COLLISION | ACCELERATION}),
 )
+"""Cases, and the parts of their configurations that guard them."""
 
 
-def collision_limits(problem: Problem) -> tuple[list[mink.Limit], int]:
-    """Return mink's collision limit for our pairs, and how many there are."""
-    found: list[mink.Limit] = []
-    pairs = 0
-    for limit in problem.barriers:
-        if isinstance(limit, CollisionPairs):
-            geoms = [([a], [b]) for a, b in limit.geoms.tolist()]
-            found.append(
-                mink.CollisionAvoidanceLimit(
-                    problem.model,
-                    geoms,
-                    gain=limit.gain,
-                    minimum_distance_from_collisions=limit.d_min,
-                    collision_detection_distance=limit.detect,
-                )
-            )
-            pairs += len(geoms)
-    return found, pairs
-
-
-def measure(guarded: Guarded) -> dict[str, Any]:
-    """Return both sides' times in µs over alternating steps."""
-    case, problem = guarded.case, compile_case(guarded.case, **guarded.others)
-    more, pairs = collision_limits(problem)
-    solver, moves = fastest_solver(case, problem, more), offsets(WARM_UP + STEPS)
-    controller = rmrc.Controller(problem)
-    sides = (ours(case, controller, moves), minks(case, problem, solver, moves, more))
+def measure(case: Case, name: str) -> dict[str, Any]:
+    """Return both sides' times in µs."""
+    with tempfile.TemporaryDirectory() as folder:
+        problem, work = prepare(case, Path(folder), turns(WARM_UP, STEPS) * (COLD + RUN))
+        here = [side for side in SIDES if environment(side).exists()]
+        found = compare(here, work, WARM_UP, STEPS)
     return {
         "case": case.name,
-        "guard": guarded.name,
+        "guard": name,
         "nv": problem.model.nv,
-        "pairs": pairs,
+        "pairs": len((collision(problem) or {"geom_pairs": ()})["geom_pairs"]),
         "rows": round(rows(case, problem), 1),
-        "engine": controller.engine.name,
-        "mink_solver": solver,
-        **figures(("rmrc", "mink"), alternating(sides, WARM_UP, STEPS)),
+        "sides": found,
     }
 
 
 def rows(case: Case, problem: Problem) -> float:
     """Return the mean number of rows of the program on the way that is timed."""
     controller = rmrc.Controller(problem, engine="python")
-    step, count = ours(case, controller, offsets(STEPS)), 0
-    for k in range(STEPS):
-        step(k)
+    targets = {name: problem.term[name].target.copy() for name in case.names}
+    count = 0
+    for move in offsets(STEPS):
+        for name, pose in targets.items():
+            controller.set_target(name, pose[4:] + move, pose[:4])
+        controller.step()
         count += controller.engine.rows.count
     return count / STEPS
 
@@ -108,23 +68,26 @@ def rows(case: Case, problem: Problem) -> float:
 def main() -> None:
     """Run every case whose robot is at hand, and print a row for each."""
     arguments = parser(__doc__).parse_args()
-    print(f"machine: {machine()}; {WARM_UP} + {STEPS} steps in runs of {RUN}")
-    print(f"{'case':8} {'guard':14} {'pairs':>5} {'rows':>5} {'rmrc µs':>9} {'p99':>8}"
-          f" {'mink µs':>9} {'p99':>8} {'ratio':>6}  mink's solver")  # fmt: skip
+    print(f"machine: {machine()}; {WARM_UP} + {STEPS} steps in turns of {RUN}")
+    print(
+        f"{'case':8} {'guard':14} {'pairs':>5} {'rows':>5} {'side':>5}"
+        f" {'median µs':>9} {'p99':>8} {'p99.9':>8}  solver"
+    )
     found = []
-    for guarded in GUARDED:
+    for case, name, others in GUARDED:
+        guarded = dataclasses.replace(case, others=case.others | others)
         try:
-            row = measure(guarded)
+            row = measure(guarded, name)
         except rmrc.RmrcError as absent:
-            print(f"{guarded.case.name:8} {guarded.name:14} skipped: {absent}")
+            print(f"{case.name:8} {name:14} skipped: {absent}")
             continue
         found.append(row)
-        print(
-            f"{row['case']:8} {row['guard']:14} {row['pairs']:5} {row['rows']:5.1f}"
-            f" {row['rmrc_median_us']:9.1f} {row['rmrc_p99_us']:8.1f}"
-            f" {row['mink_median_us']:9.1f} {row['mink_p99_us']:8.1f}"
-            f" {row['ratio']:6.2f}  {row['mink_solver']}"
-        )
+        for side, each in row["sides"].items():
+            print(
+                f"{row['case']:8} {row['guard']:14} {row['pairs']:5} {row['rows']:5.1f} {side:>5}"
+                f" {each['median_us']:9.1f} {each['p99_us']:8.1f} {each['p99.9_us']:8.1f}"
+                f"  {each['solver']}"
+            )
     write(arguments.json, "safety", {"rows": found})
 
 

@@ -1,212 +1,131 @@
-"""The whole step beside mink's: set the targets, solve, integrate; short runs, alternating.
+"""The whole step beside the peers': set the targets, solve, integrate; short turns of each.
 
-Both have the same robot, tasks, weights, limits and dt, in one process. mink runs with the fastest
-of its backends that are installed, and our Python engine runs beside the one that `auto` takes.
+All sides have the same robot, tasks, weights, gains, limits and dt, each in a process and an
+environment of its own (`bench/peers/environments.py` makes them), on one core. mink and pink run
+with the fastest of their backends that are installed, and our Python engine runs beside the engine
+that `auto` takes. `panda` and `g1` are read by MuJoCo and by Pinocchio from the same URDF, without
+geoms; `panda, geoms` is scenes/panda.xml, and the others are of the Menagerie, which Pinocchio does
+not read. Where placo differs says `peers/with_placo.py`.
 Where the targets will be is known before: what is timed is the work of the sides, not of this file.
-Prints medians, p99 and the ratio of the medians; `--json FILE` writes them under `step`.
-`make bench` keeps BLAS to one thread: at this size more threads only add noise.
+Nothing is printed of a case whose sides have not come to the same configuration.
+Prints medians, p99, p99.9 and how many times rmrc's median a peer's is; `--json FILE` writes them
+under `step`, with the median of the first step of a turn, on cold caches, as `cold_us`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import dataclasses
+import tempfile
+from pathlib import Path
 from typing import Any
 
-import mink
-import mujoco
-import numpy as np
-import qpsolvers
+from cases import ALOHA, COLLISION, DT, G1, PANDA, Case, prepare
+from peers.descriptions import ROBOT
+from rmrc.errors import RmrcError
+from sides import SIDES, compare, environment
+from timing import COLD, RUN, machine, parser, turns, write
 
-import rmrc
-from rmrc.problem.limits.joints import HINGE_SPEED
-from rmrc.problem.problem import Problem
-from timing import REPOSITORY, RUN, StepOf, alternating, figures, machine, parser, timed, write
+WARM_UP, STEPS, LONG = 500, 5000, 100_000
+SAME_Q = 1e-5
+"""How far apart the sides' last configurations may be, rad or m; placo's tasks differ by 2e-6."""
 
-DT = 0.002
-GAIN = 0.02  # mink's, per step; ours is GAIN / DT in 1/s
-LAMBDA = 0.01
-WARM_UP, STEPS = 500, 5000
-AMPLITUDE = 0.03  # m, of the targets' motion
-
-
-@dataclass(frozen=True)
-class Case:
-    """A robot and its tasks."""
-
-    name: str
-    scene: str
-    frames: tuple[tuple[str, str], ...]
-    com: bool = False
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the tasks on the frames."""
-        return [name.replace("/", "_") for _, name in self.frames]
-
-    @property
-    def tasks(self) -> int:
-        """Number of tasks, the posture included."""
-        return len(self.frames) + self.com + 1
-
-
-CASES = (
-    Case("panda", str(REPOSITORY / "scenes" / "panda.xml"), (("site", "hand"),)),
-    Case(
-        "g1",
-        "menagerie:unitree_g1/g1",
-        (
-            ("site", "left_foot"),
-            ("site", "right_foot"),
-            ("site", "left_palm"),
-            ("site", "right_palm"),
-            ("body", "torso_link"),
-            ("site", "head"),
-        ),
-        com=True,
-    ),
+BENT = {"panda_joint2": -0.3, "panda_joint4": -2.0, "panda_joint6": 1.8, "panda_joint7": 0.7}
+CROUCHED = {
+    f"{side}_{joint}_joint": angle
+    for side in ("left", "right")
+    for joint, angle in {
+        "hip_pitch": -0.3, "knee": 0.6, "ankle_pitch": -0.3, "shoulder_pitch": 0.3, "elbow": 0.5,
+    }.items()
+}  # fmt: skip
+G1_LINKS = (
+    "left_ankle_roll_link",
+    "right_ankle_roll_link",
+    "left_rubber_hand",
+    "right_rubber_hand",
+    "torso_link",
 )
 
-
-def compile_case(case: Case, **others: Any) -> Problem:
-    """Return the problem of a case, with other parts of its configuration."""
-    gain = GAIN / DT
-    tasks: list[dict[str, Any]] = [
-        {"name": name, "type": "frame", "frame": {kind: frame}, "gain": gain}
-        for (kind, frame), name in zip(case.frames, case.names, strict=True)
-    ]
-    if case.com:
-        tasks.append({"name": "com", "type": "com", "gain": gain})
-    tasks.append({"name": "posture", "type": "posture", "B": 1e-4, "gain": gain})
-    return rmrc.compile(
-        rmrc.Config.model_validate(
-            {"scene": case.scene, "dt": DT, "damping": {"lambda": LAMBDA}, "tasks": tasks} | others
-        )
-    )
-
-
-def ours(case: Case, controller: rmrc.Controller, moves: np.ndarray) -> StepOf:
-    """Return step k of rmrc's, with its targets moved by moves[k]: configuration out."""
-    problem = controller.problem
-    targets = [(name, problem.term[name].target) for name in case.names]
-    poses = [(name, list(target[4:] + moves), target[:4].copy()) for name, target in targets]
-    points = list(problem.term["com"].target + moves) if case.com else None
-
-    def step(k: int) -> np.ndarray:
-        for name, positions, quaternion in poses:
-            controller.set_target(name, positions[k], quaternion)
-        if points is not None:
-            controller.set_target("com", points[k])
-        return controller.step().q
-
-    return step
+CASES = (
+    Case("panda", "panda", (("body", "panda_hand_tcp"),), others={"start": BENT}),
+    Case(
+        "g1", "g1", tuple(("body", link) for link in G1_LINKS), com=True,
+        others={"start": CROUCHED},
+    ),
+    dataclasses.replace(PANDA, name="panda, geoms"),
+    dataclasses.replace(G1, name="g1, geoms"),
+    dataclasses.replace(
+        ALOHA, name="aloha, collision", others=ALOHA.others | {"limits": COLLISION}
+    ),
+)  # fmt: skip
+ALL = tuple(SIDES)
+MUJOCO = ("rmrc", "python", "mink")
+"""The sides that read a MuJoCo model."""
 
 
-def minks(
-    case: Case, problem: Problem, solver: str, moves: np.ndarray, more: Sequence[mink.Limit] = ()
-) -> StepOf:
-    """Return step k of mink's for the same work, with more limits if there are any."""
-    model = problem.model
-    configuration = mink.Configuration(model, problem.start)
-    frames = [mink.FrameTask(name, kind, 1.0, 1.0, gain=GAIN) for kind, name in case.frames]
-    posture = mink.PostureTask(model, cost=1e-2, gain=GAIN)
-    posture.set_target(problem.start)
-    tasks: list[mink.Task] = [*frames, posture]
-    still = np.zeros((len(moves), 4))
-    poses = [
-        [mink.SE3(pose) for pose in problem.term[name].target + np.hstack([still, moves])]
-        for name in case.names
-    ]
-    com = mink.ComTask(1.0, gain=GAIN)
-    points = list(problem.term["com"].target + moves) if case.com else []
-    if case.com:
-        tasks.append(com)
-    joints = [
-        model.joint(j).name
-        for j in range(model.njnt)
-        if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE
-    ]
-    limits: list[mink.Limit] = [
-        mink.ConfigurationLimit(model),
-        mink.VelocityLimit(model, dict.fromkeys(joints, HINGE_SPEED)),
-        *more,
-    ]
+def measure(case: Case, warm_up: int, steps: int) -> dict[str, Any]:
+    """Return what the sides that are here took for a case.
 
-    def step(k: int) -> np.ndarray:
-        for task, targets in zip(frames, poses, strict=True):
-            task.set_target(targets[k])
-        if points:
-            com.set_target(points[k])
-        v = mink.solve_ik(configuration, tasks, DT, solver, LAMBDA**2, limits=limits)
-        configuration.integrate_inplace(v, DT)
-        return configuration.q
-
-    return step
-
-
-def offsets(steps: int) -> np.ndarray:
-    """Return how far the targets are displaced at each step: a slow figure, the same for both."""
-    phase = 2 * np.pi * np.arange(steps) * DT / 4.0
-    return AMPLITUDE * np.stack([np.sin(phase), np.sin(2 * phase), np.cos(phase) - 1], axis=1)
-
-
-def fastest_solver(case: Case, problem: Problem, more: Sequence[mink.Limit] = ()) -> str:
-    """Return mink's fastest backend here for a case."""
-    medians, moves = {}, offsets(300)
-    for solver in ("daqp", "proxqp", "quadprog", "osqp"):
-        if solver in qpsolvers.available_solvers:
-            step = minks(case, problem, solver, moves, more)
-            medians[solver] = np.median([timed(step, k) for k in range(len(moves))][100:])
-    return min(medians, key=lambda solver: medians[solver])
-
-
-def measure(case: Case) -> dict[str, Any]:
-    """Return all sides' times in µs over alternating steps."""
-    problem, moves = compile_case(case), offsets(WARM_UP + STEPS)
-    solver = fastest_solver(case, problem)
-    controller = rmrc.Controller(problem)
-    sides = (
-        ours(case, controller, moves),
-        minks(case, problem, solver, moves),
-        ours(case, rmrc.Controller(problem, engine="python"), moves),
-    )
-    times = alternating(sides, WARM_UP, STEPS)
-    # All must have done the same work, or the times say nothing.
-    first, *others = (step(len(moves) - 1) for step in sides)
-    apart = max(float(np.abs(first - other).max()) for other in others)
-    if apart > 1e-3:
-        raise SystemExit(f"{case.name}: the two paths are {apart:.1e} apart: not the same work")
+    Raises:
+        RmrcError, FileNotFoundError: If the robot is not at hand.
+        SystemExit: If the sides have not done the same work.
+    """
+    sides = ALL if case.scene in ROBOT else MUJOCO
+    here = [side for side in sides if environment(side).exists()]
+    with tempfile.TemporaryDirectory() as folder:
+        problem, work = prepare(case, Path(folder), turns(warm_up, steps) * (COLD + RUN))
+        found = compare(here, work, warm_up, steps)
+    for side, row in found.items():
+        if row["apart"] > SAME_Q:
+            raise SystemExit(f"{case.name}: {side} is {row['apart']:.1e} apart: not the same work")
     return {
         "case": case.name,
         "nv": problem.model.nv,
         "tasks": case.tasks,
-        "engine": controller.engine.name,
-        "mink_solver": solver,
-        **figures(("rmrc", "mink", "python"), times),
+        "absent": [side for side in sides if side not in here],
+        "sides": {side: row | ratio(row, found["rmrc"]) for side, row in found.items()},
     }
 
 
+def ratio(row: dict[str, Any], ours: dict[str, Any]) -> dict[str, float]:
+    """Return how many times rmrc's a side's median is."""
+    return {"times_rmrc": round(row["median_us"] / ours["median_us"], 2)}
+
+
+def tail() -> dict[str, Any]:
+    """Return the figures of rmrc's step of the Panda over many more steps."""
+    with tempfile.TemporaryDirectory() as folder:
+        _, work = prepare(CASES[0], Path(folder), turns(WARM_UP, LONG) * (COLD + RUN))
+        found = compare(["rmrc"], work, WARM_UP, LONG)["rmrc"]
+    return {"case": CASES[0].name, "steps": LONG, **found}
+
+
 def main() -> None:
-    """Run every case whose robot is at hand, and print a row for each."""
-    arguments = parser(__doc__).parse_args()
-    print(f"machine: {machine()}; dt {DT * 1e3:g} ms, {WARM_UP} + {STEPS} steps in runs of {RUN}")
-    print(
-        f"{'case':8} {'nv':>3} {'tasks':>5} {'rmrc µs':>9} {'p99':>8} {'mink µs':>9} {'p99':>8}"
-        f" {'ratio':>6} {'engine':>7} {'in Python':>9}  mink's solver"
-    )
+    """Run every case whose robot is at hand, and print a row for each side."""
+    command = parser(__doc__)
+    command.add_argument("--steps", type=int, default=STEPS, help="steps that are timed")
+    arguments = command.parse_args()
+    print(f"machine: {machine()}; dt {DT * 1e3:g} ms, {WARM_UP} + {arguments.steps} steps")
+    print(f"{'case':16} {'nv':>3} {'tasks':>5} {'side':>7} {'median µs':>9} {'p99':>8} {'p99.9':>8}"
+          f" {'× rmrc':>7}  solver")  # fmt: skip
     rows = []
     for case in CASES:
         try:
-            row = measure(case)
-        except rmrc.RmrcError as absent:
-            print(f"{case.name:8} skipped: {absent}")
+            row = measure(case, WARM_UP, arguments.steps)
+        except (RmrcError, FileNotFoundError) as absent:
+            print(f"{case.name:16} skipped: {absent}")
             continue
         rows.append(row)
-        print(
-            f"{row['case']:8} {row['nv']:3} {row['tasks']:5} {row['rmrc_median_us']:9.1f}"
-            f" {row['rmrc_p99_us']:8.1f} {row['mink_median_us']:9.1f} {row['mink_p99_us']:8.1f}"
-            f" {row['ratio']:6.3f} {row['engine']:>7} {row['python_median_us']:9.1f}"
-            f"  {row['mink_solver']}"
-        )
-    write(arguments.json, "step", {"rows": rows})
+        for side, each in row["sides"].items():
+            print(
+                f"{row['case']:16} {row['nv']:3} {row['tasks']:5} {side:>7}"
+                f" {each['median_us']:9.1f} {each['p99_us']:8.1f} {each['p99.9_us']:8.1f}"
+                f" {each['times_rmrc']:7.2f}  {each['solver']}"
+            )
+        for side in row["absent"]:
+            print(f"{row['case']:16} {side:>17} is left out: it has no environment")
+    long = tail() if rows and rows[0]["case"] == CASES[0].name else {}
+    if long:
+        share = long["p99.9_us"] / long["median_us"]
+        print(f"{long['case']} over {LONG:,} steps: p99.9 is {share:.1f} times the median")
+    write(arguments.json, "step", {"rows": rows, "long": long})
 
 
 if __name__ == "__main__":

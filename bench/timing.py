@@ -1,49 +1,46 @@
-"""What the benchmarks share: steps that take turns, their figures, and the file of results."""
+"""What the benchmarks share: sides that take turns, their figures, and the file of results."""
 
 import argparse
 import json
 import os
 import platform
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-RUN = 50
-"""Steps of one side before the next has its turn."""
+RESULTS = REPOSITORY / "bench" / "results.json"
+RUN, COLD = 50, 10
+"""Steps of one side before the next has its turn, and the steps before them that do not count: they
+bring back what the other sides have driven out of the caches."""
 
-StepOf = Callable[[int], np.ndarray]
-"""Does step k, and returns the configuration that it leads to."""
-
-
-def timed(step: StepOf, k: int) -> float:
-    """Return how long step k takes, µs."""
-    begin = time.perf_counter_ns()
-    step(k)
-    return (time.perf_counter_ns() - begin) / 1e3
+StepsOf = Callable[[int, int], Sequence[float]]
+"""Takes the steps from the one number to before the other, and returns their times in µs."""
 
 
-def alternating(steps: Sequence[StepOf], warm_up: int, count: int) -> np.ndarray:
-    """Return the times (count, sides) in µs of steps that take turns in short runs."""
-    times = np.empty((warm_up + count, len(steps)))
-    for begin in range(0, warm_up + count, RUN):
-        for side, step in enumerate(steps):
-            for k in range(begin, min(begin + RUN, warm_up + count)):
-                times[k, side] = timed(step, k)
-    return times[warm_up:]
+def alternating(sides: Mapping[str, StepsOf], warm_up: int, count: int) -> dict[str, np.ndarray]:
+    """Return the times in µs of sides that take turns: (turns, COLD + RUN), warm-up excluded."""
+    turn = COLD + RUN
+    times: dict[str, list[Sequence[float]]] = {name: [] for name in sides}
+    for begin in range(0, turns(warm_up, count) * turn, turn):
+        for name, steps in sides.items():
+            times[name].append(steps(begin, begin + turn))
+    return {name: np.array(taken[-(count // RUN) :]) for name, taken in times.items()}
 
 
-def figures(names: Sequence[str], times: np.ndarray) -> dict[str, float]:
-    """Return median and p99 in µs by side, and the ratio of the first two sides' medians."""
-    medians, p99 = np.median(times, axis=0), np.percentile(times, 99, axis=0)
-    found = {}
-    for name, median, slow in zip(names, medians, p99, strict=True):
-        found[f"{name}_median_us"] = round(float(median), 2)
-        found[f"{name}_p99_us"] = round(float(slow), 2)
-    return found | {"ratio": round(float(medians[0] / medians[1]), 3)}
+def turns(warm_up: int, count: int) -> int:
+    """Return how often it is each side's turn."""
+    return -(-warm_up // (COLD + RUN)) + count // RUN
+
+
+def figures(times: np.ndarray) -> dict[str, float]:
+    """Return median, p99 and p99.9 of times in µs, and the median of the first steps of turns."""
+    counted = times[:, COLD:]
+    found = {f"p{rank:g}_us": np.percentile(counted, rank) for rank in (99.0, 99.9)}
+    found = {"median_us": np.median(counted), **found, "cold_us": np.median(times[:, 0])}
+    return {name: round(float(time), 2) for name, time in found.items()}
 
 
 def machine() -> str:
@@ -72,4 +69,4 @@ def write(path: Path | None, key: str, found: dict[str, Any]) -> None:
         return
     kept = json.loads(path.read_text()) if path.exists() else {}
     kept[key] = {"machine": machine(), **found}
-    path.write_text(json.dumps(kept, indent=2) + "\n")
+    path.write_text(json.dumps(kept, indent=2, ensure_ascii=False) + "\n")

@@ -300,6 +300,32 @@ def why(
 
 
 @app.command()
+def bench(
+    config: Annotated[
+        Path | None,
+        typer.Argument(metavar="CONFIG", help="A YAML configuration; by default, a small arm."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
+) -> None:
+    """Measure this machine: how long a step takes, with each engine that is here."""
+    import rmrc
+    from rmrc.control.bench import bench as measure
+
+    found = measure(rmrc.load(config) if config else None)
+    if as_json:
+        print(json.dumps(found, ensure_ascii=False))
+        return
+    name = config or "an arm"
+    print(f"{name}: {found['dofs']} dofs, {found['tasks']} tasks, {found['steps']} steps")
+    for engine, times in found["engines"].items():
+        print(f"{engine:>12} {times['median_us']:8.1f} µs a step (p99 {times['p99_us']:.1f})")
+    if found["native"]:
+        print("native engine: installed")
+    for notice in found["notices"]:
+        print(f"note: {notice}")
+
+
+@app.command()
 def render(
     run: RunPath,
     out: Annotated[Path, typer.Option("--out", "-o", help="A .png or .gif file.")],

@@ -1,5 +1,6 @@
 """The README: what it shows is what there is, and its snippets run."""
 
+import json
 import re
 import shutil
 import textwrap
@@ -40,6 +41,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         shutil.copytree(REPOSITORY / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def test_the_table_of_times_is_that_of_the_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(REPOSITORY / "bench")
+    import table  # pyright: ignore[reportMissingImports]
+
+    results = json.loads((REPOSITORY / "bench" / "results.json").read_text(encoding="utf-8"))
+    assert f"{table.BEGIN}\n{table.table(results['step'])}\n{table.END}" in README
 
 
 def test_the_configuration_is_the_shipped_one() -> None:

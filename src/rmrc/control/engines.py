@@ -41,11 +41,20 @@ def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, .
 
 def _reason(problem: Problem) -> str | None:
     """Return why the native engine cannot run a problem, or None."""
+    if failure := missing():
+        return f"the native engine is not there: {failure}"
+    from rmrc.control.native import lacking
+
+    absent = lacking(problem)
+    return f"the native engine has no {', no '.join(absent)}" if absent else None
+
+
+def missing() -> str | None:
+    """Return why the native engine is not there, or None."""
     try:
-        from rmrc.control.native import addresses, lacking
+        from rmrc.control.native import addresses
 
         addresses()
     except (ImportError, SolverError) as failure:
-        return f"the native engine is not there: {failure}"
-    absent = lacking(problem)
-    return f"the native engine has no {', no '.join(absent)}" if absent else None
+        return str(failure)
+    return None
