@@ -183,7 +183,7 @@ class NativeEngine(PythonEngine):
         foreign = self._foreign or problem.mink_tasks or problem.mink_limits
         hard = any(term.hard for term in evaluation.terms)
         self._alone = not (foreign or hard or problem.cascaded)
-        if self._rows.any:
+        if not self._box_alone:
             self._connect()
         self.layout = Layout(self)
         """Where the numbers of a step stand in what the extension has noted of it."""
