@@ -13,7 +13,7 @@ namespace {
 
 // rmrc.problem.limits.collision: LEAVE, FARTHEST, SPARE, TOUCHING and BLURRED.
 constexpr double leave = 1.2;
-constexpr double farthest = 10.0;
+constexpr double farthest = 100.0;
 constexpr double spare = 0.05;
 constexpr double touching = 1e-9;
 constexpr double blurred = 1e-3;
@@ -103,7 +103,7 @@ double Collision::most_moved() { return *std::max_element(moved_.begin(), moved_
 
 // Join the travel of the dofs with that of the mocap bodies.
 void Collision::extend(const double* travel, double dt) {
-  for (int i = 0; i < nv_; ++i) travel_[i] = std::fmin(travel[i], farthest);  // may be unlimited
+  for (int i = 0; i < nv_; ++i) travel_[i] = std::fmin(travel[i], farthest);
   for (int i = nv_; i < width_; ++i) travel_[i] = std::abs(a_.twist[i - nv_]) * dt;
 }
 

@@ -11,12 +11,11 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.qp.rows: PASSED, STOPPING, ROUNDING, FASTEST and FARTHEST.
+// rmrc.qp.rows: PASSED, STOPPING, ROUNDING and FASTEST.
 constexpr double passed_by = 1e-6;
 constexpr double counted_on = 0.5;
 constexpr double rounding = 1e-9;
 constexpr double fastest = 1e6;
-constexpr double farthest = 10.0;
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
@@ -77,7 +76,7 @@ void Rows::limit(const double* lb, const double* ub, double dt) {
     const double speed = std::max(std::abs(low_[k]), std::abs(high_[k]));
     double travel = speed * dt;
     if (stops_) travel += 0.5 * speed * speed * inverse_acceleration_[k];
-    travel_[dofs_[k]] = std::min(travel, farthest);
+    travel_[dofs_[k]] = travel;
   }
 }
 
