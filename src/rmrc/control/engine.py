@@ -32,6 +32,8 @@ relative to the largest of 1 and ‖g‖, in the program's unit."""
 PROXIMAL = 20
 """Outer iterations of ProxQP in place of another backend: nine of ten programs that it solves take
 fewer than 15, and one that it does not may take a second by its hundredth."""
+GAINED = 1e-3
+"""Share of the command that solving again has to gain: less is what distances jump by."""
 MOST_SHAPES = 256
 """Numbers of rows for which a backend is kept."""
 
@@ -349,7 +351,7 @@ class PythonEngine:
         share, passed = self.share, self.relaxed
         self.relaxed = relaxed
         self.keep_distances(corrected, dt)
-        if self.share > share:
+        if self.share > share + GAINED:
             return corrected
         self.share, self.relaxed = share, passed
         return solution
