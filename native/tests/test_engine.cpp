@@ -117,8 +117,8 @@ void differentiate(const void*, double* v, double seconds, const double* from, c
   for (int i = 0; i < joints; ++i) v[i] = (to[i] - from[i]) / seconds;
 }
 
-constexpr int row_counts[] = {6, 6, 6, 3, 3, 3, 1};
-constexpr int rows = 28, error_size = rows + 2 * joints;
+constexpr int row_counts[] = {6, 6, 6, 3, 3, 3, 1, 10};
+constexpr int rows = 38, error_size = rows + 2 * joints;
 
 // All arrays of a problem with every kind of task, and the engine on them.
 struct Fixture {
@@ -190,7 +190,7 @@ struct Fixture {
     std::vector<double> full(36, 0.2 * others_);
     for (int i = 0; i < 6; ++i) full[7 * i] = i < 3 ? 1.0 : 2.0 * others_;
     engine->add(
-        std::make_unique<rmrc::BodyFrame>(clamped, full, end, infinity, mujoco, stack));
+        std::make_unique<rmrc::BodyFrame>(clamped, full, end, 1.0, mujoco, stack));
     engine->add(std::make_unique<rmrc::WorldFrame>(next(pose), ones(6), end, mujoco, stack));
     engine->add(
         std::make_unique<rmrc::RelativeFrame>(next(offset), ones(6), end, base, mujoco, stack));
@@ -207,6 +207,9 @@ struct Fixture {
         next(point), ones(1), std::vector<double>{1, 1, 0, 0, 0},
         std::vector<double>{1, 1, 0, 0, 0},
         0.5, mujoco, stack));
+    // Rows that others write: here they never change.
+    for (int i = 0; i < 10 * joints; ++i) jacobian[first * joints + i] = 0.01 * (i % 7);
+    engine->add(std::make_unique<rmrc::ForeignRows>(next(point), ones(10), mujoco, stack));
     engine->add(rmrc::JointTerm{data(first, joints, posture), rmrc::JointTask::posture,
                                 std::vector<double>(joints, 0.01)});
     engine->add(rmrc::JointTerm{data(first + joints, joints, posture), rmrc::JointTask::smooth,

@@ -63,6 +63,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "acceleration": {"limits": ROUGH},
     "rows": {"limits": {**ROUGH, "workspace": PLANES, "speed": {"hand": {"linear": 0.3}}}},
     "some dofs": {"dofs": ["joint1", "joint2", "joint4", "joint5", "joint6"]},
+    "undamped": {"priority": "strict", "damping": {"lambda": 0.0}},
     "adaptive": {"damping": {"lambda": 0.01, "adapt": "sigma_min", "threshold": 0.3}},
 }
 

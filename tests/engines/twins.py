@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 import rmrc
 from rmrc import Problem, Step
-from rmrc.control.engine import PythonEngine
+from rmrc.control.engines import Engine
 from rmrc.control.step import ACTIVE_MULTIPLIER
 from rmrc.qp.program import Solution
 
@@ -19,6 +19,9 @@ LEAST_RATE = 1e-3
 """rad/s or m/s: a v below it is compared as it is, for 1e-8 of it is below the rounding of q/dt."""
 TIE = 1e-6
 """A multiplier this small may be that of a limit that is only just active."""
+MEASURED = 1e-3
+"""Relative, of commands that were shortened or corrected: MuJoCo's distances of meshes jump by 1e-7
+from one configuration to the next, and so does the share that is found by measuring them."""
 ROUNDING = 1e-13
 """Of merits, relative to the largest of 1 and themselves."""
 MOST_APART = 0.1
@@ -42,9 +45,9 @@ def twins(problem: Problem, steps: int, moving: bool = False) -> Iterator[tuple[
             scatter_targets(leader, rng, moving)
         other.targets[:], other.twists[:] = evaluation.targets, evaluation.twists
         other.moving[:] = evaluation.moving
-        twin._v[:], twin._a[:] = leader._v, leader._a
-        q = leader.q
-        yield leader.step(), twin.step(q)
+        # The very same bits: the nearest points of two meshes jump with the last of them.
+        twin._q[:], twin._v[:], twin._a[:] = leader._q, leader._v, leader._a
+        yield leader.step(), twin.step()
 
 
 def scatter_targets(controller: rmrc.Controller, rng: np.random.Generator, moving: bool) -> None:
@@ -70,14 +73,19 @@ def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
 
     Now and then the limits leave so little that DAQP's own tolerance decides about v: hard tasks
     that cannot be met, or levels at a singularity in a corner of the box. Of such a step the native
-    engine has to have the better command.
+    engine has to have the better command. What is left of a command by the check of the distances
+    at its end depends on how they are measured there (see `MEASURED`).
     """
     apart = 0
     for python, native in twins(problem, steps, moving):
         np.testing.assert_allclose(native.moment.error, python.moment.error, atol=SAME_ERROR)
+        assert native.moment.engine.relaxed == python.moment.engine.relaxed
         if difference(native.v, python.v) > SAME:
             apart += 1
-            assert_better(native, python)
+            if is_corrected(native, python):
+                assert difference(native.v, python.v) < MEASURED
+            else:
+                assert_better(native, python)
             continue
         assert native.flags == python.flags
         assert native.solution.status is python.solution.status
@@ -90,6 +98,13 @@ def difference(v: Array, expected: Array) -> float:
     return float(np.abs(v - expected).max() / max(np.abs(expected).max(), LEAST_RATE))
 
 
+def is_corrected(native: Step, python: Step) -> bool:
+    """Return whether distances at the end of the step had a say in a command."""
+    engines = native.moment.engine, python.moment.engine
+    lower, other = (engine.assembly.qp.lo for engine in engines)
+    return native.moment.share < 1.0 or not np.array_equal(lower, other)
+
+
 def assert_better(native: Step, python: Step) -> None:
     """Hold the native command to be the better one in the first thing that tells the two apart."""
     engine = native.moment.engine
@@ -100,7 +115,7 @@ def assert_better(native: Step, python: Step) -> None:
     assert ours[first] < theirs[first]
 
 
-def merits(engine: PythonEngine, v: Array) -> Array:
+def merits(engine: Engine, v: Array) -> Array:
     """Return what v is judged by, the most important first and less the better.
 
     That is by how much it passes rows and misses equalities, and then the cost; or of each level
@@ -110,19 +125,20 @@ def merits(engine: PythonEngine, v: Array) -> Array:
     activity = qp.C @ v
     missed = [qp.lo - activity, activity - qp.hi, np.abs(qp.E @ v - qp.f)]
     found = [max(np.concatenate(missed).max(initial=0.0), 0.0)]
-    if engine._cascade is None:
+    if not engine.problem.cascaded:
         return np.array([*found, 0.5 * v @ qp.H @ v + qp.g @ v])
-    for level in engine.assembly.levels():
+    levels = engine.assembly.levels()
+    for level in levels:
         if level.direction is not None:
             jacobian, rate = level.direction
             alpha = float(rate @ jacobian @ v / (rate @ rate))
             found += [float(np.linalg.norm(jacobian @ v - alpha * rate)), -alpha]
         residual = level.rows @ v - level.rate
         found.append(0.5 * float(residual @ residual))
-    return np.array([*found, float(v @ level.metric @ v)])
+    return np.array([*found, float(v @ levels[-1].metric @ v)])
 
 
-def assert_same_active(solution: Solution, expected: Solution, engine: PythonEngine) -> None:
+def assert_same_active(solution: Solution, expected: Solution, engine: Engine) -> None:
     """Hold the active limits to those of the Python engine, ties aside.
 
     A tie is a multiplier near 0, or limits that depend on one another where v is: they can share
@@ -135,14 +151,14 @@ def assert_same_active(solution: Solution, expected: Solution, engine: PythonEng
         assert are_dependent(engine, solution.v)
 
 
-def are_dependent(engine: PythonEngine, v: Array) -> bool:
+def are_dependent(engine: Engine, v: Array) -> bool:
     """Return whether the limits that v meets, with what levels fix, depend on one another."""
     qp = engine.assembly.qp
     activity = qp.C @ v
     bounds = (v <= qp.lb + MET) | (v >= qp.ub - MET)
     rows = (activity <= qp.lo + MET) | (activity >= qp.hi - MET)
     fixed = [np.eye(v.size)[bounds], qp.C[rows], qp.E]
-    if engine._cascade is not None:
+    if engine.problem.cascaded:
         fixed += [level.rows for level in engine.assembly.levels()]
     stacked = np.concatenate(fixed)
     sigma = np.linalg.svd(stacked, compute_uv=False)

@@ -145,8 +145,8 @@ class Config(Model):
     actuation: ActuationModel = ActuationModel()
     """The joint controllers and the measurement; only `execute: actuated` reads it."""
     engine: Literal["auto", "python", "native"] = "auto"
-    """What evaluates and solves a step: `native`, in C++, has no place for every task and limit;
-    `auto` takes it where it has."""
+    """What evaluates and solves a step: `native`, in C++, has a solver of its own, and no place for
+    another method, another backend or programs that nothing damps; `auto` takes it where it can."""
     solver: SolverModel = SolverModel()
     """The QP backend."""
     damping: DampingModel = DampingModel()

@@ -72,10 +72,7 @@ class PythonEngine:
         self._solver = self._solver_of(self._assembly.qp)
         hard = any(term.hard for term in self.evaluation.terms)
         self._box_alone = not (self._rows.any or hard)
-        directed = any(term.preserve for term in problem.terms)
-        self._cascade = (
-            Cascade(problem.dofs.size, self._new_backend) if problem.strict or directed else None
-        )
+        self._cascade = Cascade(problem.dofs.size, self._new_backend) if problem.cascaded else None
         self.deadline = math.inf
         """When the step must be done, on the clock of `perf_counter`, s."""
         self.outside = False

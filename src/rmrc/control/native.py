@@ -88,7 +88,8 @@ def lacking(problem: Problem) -> list[str]:
     config, found = problem.config, []
     if config.method != "qp":
         found.append(f"method {config.method}")
-    if not _definite(problem):
+    # The programs of a cascade have a damping of their own.
+    if not (problem.cascaded or _definite(problem)):
         found.append("programs without damping")
     if config.solver.backend != "daqp":
         found.append(f"backend {config.solver.backend}")
@@ -115,10 +116,13 @@ def _definite(problem: Problem) -> bool:
 
 
 class NativeEngine(PythonEngine):
-    """Does `solve` in C++; what is asked for later, as for an explanation, is the Python engine's.
+    """Evaluates, assembles and solves in C++, with an active-set method (see native/README.md).
 
-    Errors, feed-forwards, Jacobians, ẋ and the program are written where the Python engine would
-    have written them. It solves with an active-set method of its own (see native/README.md).
+    Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
+    would have written them. A program of a box and rows is C++'s as a whole, until a solution is not
+    certified or a command has to be shortened; equalities, levels and the rungs of the ladder are
+    the Python engine's, and what they solve is solved in C++. Terms without an evaluator in C++,
+    the foreign ones, are evaluated in Python before C++ assembles.
     """
 
     name = "native"
@@ -178,8 +182,8 @@ class NativeEngine(PythonEngine):
         ]
         foreign = self._foreign or problem.mink_tasks or problem.mink_limits
         hard = any(term.hard for term in evaluation.terms)
-        self._alone = not (foreign or hard or self._cascade)
-        if self._rows.any:
+        self._alone = not (foreign or hard or problem.cascaded)
+        if not self._box_alone:
             self._connect()
         self.layout = Layout(self)
         """Where the numbers of a step stand in what the extension has noted of it."""
@@ -292,6 +296,22 @@ class NativeEngine(PythonEngine):
             damping.adapt, damping.threshold, damping.largest, adaptive.rank, adaptive.scale, rows
         )
 
+    def _assemble(self, q: Array, dt: float) -> bool:
+        self.behind = False
+        self._native.evaluate(q)
+        self.evaluation.fill_constraints()
+        for evaluate in self._foreign:
+            evaluate()
+        outside = self._native.assemble(dt)
+        self._assembly.add_mink_tasks(dt)
+        return outside
+
+    def _new_backend(self) -> Backend:
+        return Native(self.problem.config.solver.max_iter)
+
+    def _other_backend(self) -> Backend:
+        return create("daqp", max_iter=self.problem.config.solver.max_iter)
+
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""
         self._native.forget()
@@ -348,19 +368,3 @@ class NativeEngine(PythonEngine):
         if self.behind:
             self._catch_up()
         return self._rows
-
-    def _assemble(self, q: Array, dt: float) -> bool:
-        self.behind = False
-        self._native.evaluate(q)
-        self.evaluation.fill_constraints()
-        for evaluate in self._foreign:
-            evaluate()
-        outside = self._native.assemble(dt)
-        self._assembly.add_mink_tasks(dt)
-        return outside
-
-    def _new_backend(self) -> Backend:
-        return Native(self.problem.config.solver.max_iter)
-
-    def _other_backend(self) -> Backend:
-        return create("daqp", max_iter=self.problem.config.solver.max_iter)

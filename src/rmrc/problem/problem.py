@@ -67,6 +67,11 @@ class Problem:
         """The terms by name."""
         return {term.name: term for term in self.terms}
 
+    @property
+    def cascaded(self) -> bool:
+        """Whether levels are solved one after another: strict ones, or one with a direction."""
+        return self.strict or any(term.preserve for term in self.terms)
+
     def named(self, name: str) -> Term:
         """Return a term by name.
 
