@@ -119,9 +119,10 @@ class NativeEngine(PythonEngine):
     """Evaluates, assembles and solves in C++, with an active-set method (see native/README.md).
 
     Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
-    would have written them. A program of a box alone is C++'s as a whole; rows, equalities, levels
-    and the rungs of the ladder are the Python engine's, and what they solve is solved in C++. Terms
-    without an evaluator in C++, the foreign ones, are evaluated in Python before C++ assembles.
+    would have written them. A program of a box and rows is C++'s as a whole, until a solution is not
+    certified or a command has to be shortened; equalities, levels and the rungs of the ladder are
+    the Python engine's, and what they solve is solved in C++. Terms without an evaluator in C++,
+    the foreign ones, are evaluated in Python before C++ assembles.
     """
 
     name = "native"
@@ -297,12 +298,13 @@ class NativeEngine(PythonEngine):
         )
 
     def _assemble(self, q: Array, dt: float) -> bool:
+        self.behind = False
         self._native.evaluate(q)
         self.evaluation.fill_constraints()
         for evaluate in self._foreign:
             evaluate()
         outside = self._native.assemble(dt)
-        self.assembly.add_mink_tasks(dt)
+        self._assembly.add_mink_tasks(dt)
         return outside
 
     def _new_backend(self) -> Backend:
@@ -367,19 +369,3 @@ class NativeEngine(PythonEngine):
         if self.behind:
             self._catch_up()
         return self._rows
-
-    def _assemble(self, q: Array, dt: float) -> bool:
-        self.behind = False
-        self._native.evaluate(q)
-        self.evaluation.fill_constraints()
-        for evaluate in self._foreign:
-            evaluate()
-        outside = self._native.assemble(dt)
-        self._assembly.add_mink_tasks(dt)
-        return outside
-
-    def _new_backend(self) -> Backend:
-        return Native(self.problem.config.solver.max_iter)
-
-    def _other_backend(self) -> Backend:
-        return create("daqp", max_iter=self.problem.config.solver.max_iter)
