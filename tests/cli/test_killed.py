@@ -1,6 +1,7 @@
 """A command killed at any moment leaves a whole folder or none, and nothing in the next's way."""
 
 import json
+import math
 import os
 import random
 import signal
@@ -27,6 +28,8 @@ SOLVE = ("solve", *SHORT)
 COMPARE = ("compare", *SHORT, "--methods", "qp,dls", "--backends", "daqp")
 # Kills of a command at a random moment; half of them while its folder is written.
 KILLS = 16
+WHOLE = 3
+"""Runs that nothing kills, of which the shortest tells how long one takes."""
 # Kills of a program from its very start, whose imports take most of the time.
 KILLS_OF_PROGRAM = 4
 # More operations on files than a command has.
@@ -117,12 +120,13 @@ def test_killed_before_any_operation_on_files(
 def test_killed_at_a_random_moment(
     processes: ForkServerContext, tmp_path: Path, arguments: tuple[str, ...]
 ) -> None:
-    chance = random.Random(0)
-    began = time.monotonic()
-    start(processes, tmp_path, *arguments).join()
-    whole, names = time.monotonic() - began, results(tmp_path, arguments[0])
-    assert len(names) == 1
-    killed = 0
+    chance, whole = random.Random(0), math.inf
+    for _ in range(WHOLE):
+        began = time.monotonic()
+        start(processes, tmp_path, *arguments).join()
+        whole = min(whole, time.monotonic() - began)
+    names, killed = results(tmp_path, arguments[0]), 0
+    assert len(names) == WHOLE
     for kill in range(KILLS):
         process = start(processes, tmp_path, *arguments)
         if kill % 2:
