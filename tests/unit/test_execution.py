@@ -536,6 +536,8 @@ def test_other_mistakes_have_their_place(tmp_path: Path) -> None:
     assert "config.yaml:10:14: in steps of 2 ms, the physics is stable up to" in bandwidth
     assert "config.yaml:14:16: body 'link0' is fixed to the world" in push
     assert "did you mean 'gripper'?" in mistake(LINE, push={"body": "griper", "duration": 1.0})
+    # As many measurements as steps of latency are kept.
+    assert "10000" in mistake(LINE, latency=10**10)
 
 
 def test_a_dt_that_is_no_multiple_of_the_timestep_is_said_and_kept() -> None:

@@ -116,8 +116,8 @@ class ActuationModel(Model):
     """The configuration that a step starts from."""
     noise: NonNegative = 0.0
     """Standard deviation of a measured coordinate, rad or m."""
-    latency: Annotated[int, Field(strict=True, ge=0)] = 0
-    """Age of the measurement that a step gets, in steps."""
+    latency: Annotated[int, Field(strict=True, ge=0, le=10_000)] = 0
+    """Age of the measurement that a step gets, in steps; so many are kept."""
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     """Seed of the noise."""
     push: PushModel | None = None
