@@ -24,16 +24,12 @@ namespace rmrc {
 
 namespace {
 
-using Reading = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Flags = nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Statuses = nb::ndarray<std::int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 template <class Array>
 void require(const Array& array, int rows, int columns) {
-  if (array.size() != static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns)) {
-    throw std::invalid_argument("an array has a wrong size");
-  }
+  const auto size = static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
+  rmrc::require(array, size, "an array");
 }
 
 class BoundBatch {

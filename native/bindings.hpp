@@ -1,9 +1,28 @@
-// The parts of the Python module.
+// The parts of the Python module, and the arrays that they take.
 #pragma once
 
 #include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <vector>
 
 namespace rmrc {
+
+using Reading = nanobind::ndarray<const double, nanobind::c_contig, nanobind::device::cpu>;
+using Writing = nanobind::ndarray<double, nanobind::c_contig, nanobind::device::cpu>;
+using Flags = nanobind::ndarray<std::uint8_t, nanobind::ndim<1>, nanobind::c_contig,
+                                nanobind::device::cpu>;
+using Numbers = std::vector<double>;
+
+/// Refuse an array that has not this many elements.
+template <class Array>
+void require(const Array& array, std::size_t size, const char* what) {
+  if (array.size() != size) throw std::invalid_argument(std::string(what) + " has a wrong size");
+}
 
 class Engine;
 class Rows;

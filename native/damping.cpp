@@ -2,45 +2,93 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <utility>
-
-#include "kernels.hpp"
 
 namespace rmrc {
 
 namespace {
 
-constexpr int sweeps = 30;
-// Largest cosine of two vectors that are orthogonal but for rounding.
-constexpr double orthogonal = 4.0 * std::numeric_limits<double>::epsilon();
+// σ² is found to this, relative to ε²; λ_a² is linear in it.
+constexpr double resolution = 4.0 * std::numeric_limits<double>::epsilon();
+// The bound of a reference need not be close: relative to ε².
+constexpr double bound_resolution = 0.05;
+// What rounding can do to a singular value, relative to the norm of W, and more.
+constexpr double rounding = 1e-12;
 
 }  // namespace
 
 Damping::Damping(DampingRule rule, std::vector<TaskedRow> rows, int size)
     : rule_(rule),
       rows_(std::move(rows)),
+      size_(size),
       count_(std::min(static_cast<int>(rows_.size()), size)),
       length_(std::max(static_cast<int>(rows_.size()), size)),
-      stride_(length_),
       transposed_(static_cast<int>(rows_.size()) > size),
-      vectors_(static_cast<std::size_t>(count_) * stride_),
+      weighted_(static_cast<std::size_t>(count_) * length_),
       row_(size),
-      sigma_(count_) {}
+      values_(count_, length_),
+      reference_(weighted_) {}
 
 double Damping::square(const std::vector<std::unique_ptr<RowTerm>>& terms, const double* error) {
   const double most = rule_.largest * rule_.largest;
   if (rule_.adapt == Adapt::error) return std::min(0.5 * error_square(terms, error), most);
-  find_singular_values(terms);
-  if (rule_.adapt == Adapt::sigma_min) {
-    const double ratio = sigma_[rule_.rank - 1] / rule_.threshold;
-    return most * std::max(0.0, 1.0 - ratio * ratio);
+  gather(terms);
+  return most * (rule_.adapt == Adapt::sigma_min ? by_sigma_min() : by_manipulability());
+}
+
+// W, whose elements in the columns that move no row stay 0.
+void Damping::gather(const std::vector<std::unique_ptr<RowTerm>>& terms) {
+  for (std::size_t r = 0; r < rows_.size(); ++r) {
+    const RowTerm& term = *terms[rows_[r].term];
+    if (!transposed_) {
+      term.copy_row(rows_[r].row, weighted_.data() + r * length_);
+      continue;
+    }
+    std::fill_n(row_.begin(), size_, 0.0);
+    term.copy_row(rows_[r].row, row_.data());
+    for (int i = 0; i < size_; ++i) weighted_[static_cast<std::size_t>(i) * length_ + r] = row_[i];
   }
+}
+
+// 1 − (σ/ε)², or 0. Far from singularities σ_r is not looked for: by Weyl it has changed by no more
+// than the Frobenius norm of what W has changed by. What comes of it is the same bit by bit.
+double Damping::by_sigma_min() {
+  const double threshold = rule_.threshold / rule_.scale, square = threshold * threshold;
+  double change = 0.0;
+  for (std::size_t i = 0; i < weighted_.size(); ++i) {
+    const double difference = weighted_[i] - reference_[i];
+    change += difference * difference;
+  }
+  if (bound_ - std::sqrt(change) > threshold) return 0.0;
+  values_.decompose(weighted_.data());
+  if (!values_.at_least(rule_.rank, square)) {
+    bound_ = 0.0;
+    return 1.0 - values_.square(rule_.rank, 0.0, square, resolution * square, 0.0) / square;
+  }
+  const double largest = values_.sum_of_squares();
+  const double least =
+      values_.square(rule_.rank, square, std::max(square, largest), bound_resolution * square, 0.0);
+  reference_ = weighted_;
+  bound_ = std::sqrt(least) - rounding * std::sqrt(largest);
+  return 0.0;
+}
+
+// (1 − w/w₀)², or 0.
+double Damping::by_manipulability() {
+  values_.decompose(weighted_.data());
   double product = 1.0;
-  for (int k = 0; k < rule_.rank; ++k) product *= sigma_[k];
+  if (rule_.rank == count_) {
+    product = values_.product() * std::pow(rule_.scale, count_);
+  } else {
+    const double largest = values_.sum_of_squares();
+    for (int r = 1; r <= rule_.rank; ++r) {
+      const double square = values_.square(r, 0.0, largest, 0.0, resolution);
+      product *= rule_.scale * std::sqrt(square);
+    }
+  }
   const double missing = std::max(0.0, 1.0 - product / rule_.threshold);
-  return most * missing * missing;
+  return missing * missing;
 }
 
 // eᵀBe of the tasked terms.
@@ -55,42 +103,6 @@ double Damping::error_square(const std::vector<std::unique_ptr<RowTerm>>& terms,
     sum += term.weighed_square(error + term.data().first);
   }
   return sum * rule_.scale * rule_.scale;
-}
-
-// One-sided Jacobi: rotations make the vectors orthogonal; their lengths are the singular values.
-void Damping::find_singular_values(const std::vector<std::unique_ptr<RowTerm>>& terms) {
-  const int size = static_cast<int>(row_.size());
-  for (std::size_t r = 0; r < rows_.size(); ++r) {
-    double* row = transposed_ ? row_.data() : vectors_.data() + r * stride_;
-    std::fill_n(row, size, 0.0);
-    terms[rows_[r].term]->copy_row(rows_[r].row, row);
-    for (int i = 0; transposed_ && i < size; ++i) vectors_[i * stride_ + r] = row[i];
-  }
-  bool turned = true;
-  for (int sweep = 0; turned && sweep < sweeps; ++sweep) {
-    turned = false;
-    for (int i = 0; i < count_; ++i) {
-      for (int j = i + 1; j < count_; ++j) {
-        double *a = vectors_.data() + i * stride_, *b = vectors_.data() + j * stride_;
-        const double aa = dot(a, a, length_), bb = dot(b, b, length_), ab = dot(a, b, length_);
-        if (!(std::abs(ab) > orthogonal * std::sqrt(aa * bb))) continue;
-        turned = true;
-        const double ratio = (bb - aa) / (2.0 * ab);
-        const double t = std::copysign(1.0, ratio) / (std::abs(ratio) + std::hypot(1.0, ratio));
-        const double c = 1.0 / std::hypot(1.0, t), s = c * t;
-        for (int k = 0; k < length_; ++k) {
-          const double x = a[k], y = b[k];
-          a[k] = c * x - s * y;
-          b[k] = s * x + c * y;
-        }
-      }
-    }
-  }
-  for (int i = 0; i < count_; ++i) {
-    const double* a = vectors_.data() + i * stride_;
-    sigma_[i] = rule_.scale * std::sqrt(dot(a, a, length_));
-  }
-  std::sort(sigma_.begin(), sigma_.end(), std::greater<>());
 }
 
 }  // namespace rmrc

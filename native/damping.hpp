@@ -1,8 +1,10 @@
 // What a singularity or a large error adds to the damping: rmrc.qp.damping.
 #pragma once
 
+#include <memory>
 #include <vector>
 
+#include "singular_values.hpp"
 #include "tasks.hpp"
 
 namespace rmrc {
@@ -34,16 +36,21 @@ class Damping {
   bool adapts() const { return rule_.adapt != Adapt::off && rule_.rank > 0; }
 
  private:
-  void find_singular_values(const std::vector<std::unique_ptr<RowTerm>>& terms);
+  void gather(const std::vector<std::unique_ptr<RowTerm>>& terms);
+  double by_sigma_min();
+  double by_manipulability();
   double error_square(const std::vector<std::unique_ptr<RowTerm>>& terms,
                       const double* error) const;
 
   DampingRule rule_;
   std::vector<TaskedRow> rows_;
-  int count_, length_, stride_;  // vectors that are made orthogonal, and their length
+  int size_, count_, length_;  // dofs, and vectors and their length, of W or of Wᵀ
   bool transposed_;
-  std::vector<double> vectors_, row_;
-  std::vector<double> sigma_;
+  std::vector<double> weighted_, row_;
+  SingularValues values_;
+  // A matrix, and what its σ_r is at least: σ_r of another is less by no more than their distance.
+  std::vector<double> reference_;
+  double bound_ = 0.0;
 };
 
 }  // namespace rmrc

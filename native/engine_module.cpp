@@ -26,16 +26,6 @@ namespace rmrc {
 
 namespace {
 
-using Reading = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Flags = nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Numbers = std::vector<double>;
-
-template <class Array>
-void require(const Array& array, std::size_t size, const char* what) {
-  if (array.size() != size) throw std::invalid_argument(std::string(what) + " has a wrong size");
-}
-
 template <class Function>
 Function function(std::uintptr_t address) {
   if (address == 0) throw std::invalid_argument("a function of MuJoCo's is missing");

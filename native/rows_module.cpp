@@ -29,10 +29,7 @@ namespace rmrc {
 
 namespace {
 
-using Reading = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 using Integers = nb::ndarray<std::int64_t, nb::c_contig, nb::device::cpu>;
-using Numbers = std::vector<double>;
 
 // Arrays by their names, each looked at for its type and its size.
 class Fields {

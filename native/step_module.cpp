@@ -24,10 +24,6 @@ namespace rmrc {
 
 namespace {
 
-using Reading = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Flags = nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
 // The numbers of an array that is plainly `size` doubles; none of anything else.
 class Plain {
  public:

@@ -35,7 +35,7 @@ def test_without_a_configuration_every_engine_steps_an_arm() -> None:
 
 def test_a_configuration_of_ones_own_is_timed() -> None:
     found = numbers(LINE)
-    assert found["notices"] == []
+    assert bool(found["notices"]) is not found["native"]
     assert found["dofs"] == 3
     assert found["steps"] > 0
     assert "µs a step" in bench(LINE)

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rmrc
-from models import REPOSITORY, config, random_configuration
+from models import CHAIN, PLANES, REPOSITORY, config, random_configuration
 from rmrc import Problem
 from rmrc.problem.limits.collision import Collision
 from rmrc.qp.program import Solution
@@ -44,37 +44,12 @@ POSTURE: dict[str, Any] = {"name": "posture", "type": "posture", "B": 1e-3}
 HAND: dict[str, Any] = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}
 ROUGH = {"velocity": {"default": 1.0}, "acceleration": {"default": 8.0}}
 
-CHAIN = """
-<mujoco>
-  <compiler angle="radian"/>
-  <default><geom type="sphere" size="0.05"/></default>
-  <worldbody>
+AROUND = """
     <geom name="floor" type="plane" size="0 0 1" pos="0 0 -0.5"/>
     <body name="box" mocap="true" pos="0.7 0.3 0.4"><geom type="box" size="0.1 0.2 0.05"/></body>
-    <body name="cart" mocap="true" pos="0.2 0 0.1">
-      <geom/>
-      <body name="shoulder" pos="0 0.1 0.3" euler="0.3 0.2 0.1">
-        <joint name="shoulder" type="ball" range="0 1.2" pos="0.02 0 0.05"/><geom/>
-        <body name="forearm" pos="0.3 0 0.1" euler="0 0.4 0.7">
-          <joint name="slide" type="slide" axis="1 0 1" range="-0.2 0.3"/>
-          <joint name="elbow" axis="0 1 0" pos="0.1 0 0"/>
-          <geom name="ball" type="capsule" size="0.03 0.1" pos="0.1 0.1 0"/>
-          <body name="hand" pos="0.25 0.05 0" euler="0.5 0 0.2">
-            <joint name="wrist" type="ball" range="0 0.6"/>
-            <geom type="ellipsoid" size="0.05 0.03 0.08"/>
-            <site name="tip" pos="0.05 0.02 0.1"/>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
 """
-PLANES = [
-    {"frame": {"site": "tip"}, "normal": [0, 0, 2], "offset": 0.1},
-    {"frame": {"geom": "ball"}, "normal": [1, -1, 0.5], "offset": -0.3, "gain": 0.5},
-    {"frame": {"body": "hand"}, "normal": [0, 1, 0], "offset": 0.2},
-]
+"""What stands around the chain."""
+GAINS = [PLANES[0], {**PLANES[1], "gain": 0.5}, PLANES[2]]
 
 
 class Twins:
@@ -158,7 +133,7 @@ def panda(**limits: Any) -> Callable[[Path], rmrc.Config]:
 def chain(**limits: Any) -> Callable[[Path], rmrc.Config]:
     def made(folder: Path) -> rmrc.Config:
         path = folder / "chain.xml"
-        path.write_text(CHAIN)
+        path.write_text(CHAIN.replace("<worldbody>", f"<worldbody>{AROUND}"))
         tip = {"name": "hand", "type": "frame", "frame": {"site": "tip"}}
         return config(str(path), [tip, POSTURE], limits=limits, dt=0.005)
 
@@ -178,9 +153,9 @@ CASES: dict[str, Callable[[Path], rmrc.Config]] = {
     ),
     "balls": chain(),
     "balls and stopping": chain(acceleration={"default": 6.0}),
-    "balls, planes and pairs": chain(workspace=PLANES, collision={"pairs": "all"}),
+    "balls, planes and pairs": chain(workspace=GAINS, collision={"pairs": "all"}),
     "all that stops": chain(
-        workspace=PLANES, collision={"pairs": "all"}, acceleration={"default": 6.0}
+        workspace=GAINS, collision={"pairs": "all"}, acceleration={"default": 6.0}
     ),
 }
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rmrc
-from models import REPOSITORY, config
+from models import MENAGERIE, REPOSITORY, config
 
 pytest.importorskip(
     "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
@@ -168,14 +168,6 @@ def test_an_explanation_is_the_same() -> None:
             assert ours.tasks == pytest.approx(theirs.tasks) or str(ours) == str(theirs)
 
 
-MENAGERIE = {
-    "panda": ("franka_emika_panda/panda_nohand", {"site": "attachment_site"}),
-    "ur5e": ("universal_robots_ur5e/ur5e", {"site": "attachment_site"}),
-    "iiwa": ("kuka_iiwa_14/iiwa14", {"site": "attachment_site"}),
-    "g1": ("unitree_g1/g1", {"site": "left_palm"}),
-    "aloha": ("aloha/aloha", {"site": "left/gripper"}),
-    "shadow": ("shadow_hand/right_hand", {"body": "rh_ffdistal"}),
-}
 VARIANTS: dict[str, dict[str, Any]] = {
     "hard": {"hard": True},
     "levels": {"priority": "strict"},

@@ -11,7 +11,7 @@ import pytest
 from twins import assert_equal, twins
 
 import rmrc
-from models import REPOSITORY, ROBOTS, config, scene_path
+from models import MENAGERIE, REPOSITORY, ROBOTS, config, scene_path
 from rmrc.control.engines import build_engine
 
 if TYPE_CHECKING:
@@ -126,15 +126,6 @@ def test_robots_of_one_to_many_dofs(robot: str, tmp_path: Path) -> None:
     ]
     problem = rmrc.compile(config(scene_path(robot, tmp_path), tasks))
     assert_equal(problem, STEPS, moving=True)
-
-
-MENAGERIE = {
-    "panda": ("franka_emika_panda/panda_nohand", {"site": "attachment_site"}),
-    "ur5e": ("universal_robots_ur5e/ur5e", {"site": "attachment_site"}),
-    "iiwa": ("kuka_iiwa_14/iiwa14", {"site": "attachment_site"}),
-    "g1": ("unitree_g1/g1", {"site": "left_palm"}),
-    "aloha": ("aloha/aloha", {"site": "left/gripper"}),
-}
 
 
 @pytest.mark.parametrize("robot", MENAGERIE)

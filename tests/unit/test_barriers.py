@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rmrc
-from models import REPOSITORY, config, random_configuration
+from models import CHAIN, PLANES, REPOSITORY, config, random_configuration
 from rmrc.config.limits import LimitsModel
 from rmrc.errors import ConfigError
 from rmrc.problem.limits.ball import compile_balls
@@ -27,34 +27,6 @@ KEPT = 1e-6
 RELAXED = 1e-4
 # The hand goes up to its planes, though the task's error is not the distance from them.
 NEAR = 0.03
-
-CHAIN = """
-<mujoco>
-  <compiler angle="radian"/>
-  <default><geom type="sphere" size="0.05" contype="0" conaffinity="0"/></default>
-  <worldbody>
-    <body name="cart" mocap="true" pos="0.2 0 0.1">
-      <geom/>
-      <body name="shoulder" pos="0 0.1 0.3" euler="0.3 0.2 0.1">
-        <joint name="shoulder" type="ball" range="0 1.2" pos="0.02 0 0.05"/><geom/>
-        <body name="forearm" pos="0.3 0 0.1" euler="0 0.4 0.7">
-          <joint name="slide" type="slide" axis="1 0 1" range="-0.2 0.3"/>
-          <joint name="elbow" axis="0 1 0" pos="0.1 0 0"/><geom name="ball" pos="0.1 0.1 0"/>
-          <body name="hand" pos="0.25 0.05 0" euler="0.5 0 0.2">
-            <joint name="wrist" type="ball" range="0 0.6"/><geom/>
-            <site name="tip" pos="0.05 0.02 0.1"/>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-PLANES = (
-    {"frame": {"site": "tip"}, "normal": [0, 0, 2], "offset": 0.1},
-    {"frame": {"geom": "ball"}, "normal": [1, -1, 0.5], "offset": -0.3},
-    {"frame": {"body": "hand"}, "normal": [0, 1, 0], "offset": 0.2},
-)
 
 
 @pytest.fixture(scope="module")

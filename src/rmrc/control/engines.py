@@ -1,5 +1,6 @@
 """The choice of the engine: the one place that knows there is more than one."""
 
+from importlib.util import find_spec
 from typing import Literal
 
 from rmrc.config.mistakes import Mistake, config_error
@@ -11,6 +12,11 @@ from rmrc.problem.problem import Problem
 Choice = Literal["auto", "python", "native"]
 Engine = PythonEngine | ClosedFormEngine
 ENGINES = ("auto", "python", "native")
+NOT_BUILT = (
+    "rmrc was installed without it; with a C++20 compiler `pip install -v` builds it, "
+    "or shows what fails"
+)
+"""Why there is no extension to import: pip keeps what the compiler has said to itself."""
 
 
 def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, ...]]:
@@ -28,7 +34,8 @@ def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, .
     asked = problem.config.engine if choice == "auto" else choice
     reason = None if asked == "python" else _reason(problem)
     if asked == "native" and reason:
-        raise config_error([Mistake(("engine",), f"native cannot run: {reason}")], problem.config)
+        message = f"native cannot run: {reason}. With `engine: auto` the Python engine runs"
+        raise config_error([Mistake(("engine",), message)], problem.config)
     if asked != "python" and not reason:
         from rmrc.control.native import NativeEngine  # which is there, for there is no reason
 
@@ -51,6 +58,8 @@ def _reason(problem: Problem) -> str | None:
 
 def missing() -> str | None:
     """Return why the native engine is not there, or None."""
+    if find_spec("rmrc._native") is None:
+        return NOT_BUILT
     try:
         from rmrc.control.native import addresses
 
