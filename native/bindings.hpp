@@ -25,12 +25,16 @@ void require(const Array& array, std::size_t size, const char* what) {
 }
 
 class Engine;
+class ForwardKinematics;
 class Rows;
 class Shortening;
 class Stepper;
 
 /// Add the engine and what it is built from.
 void bind_engine(nanobind::module_& m);
+
+/// Add the forward kinematics.
+void bind_kinematics(nanobind::module_& m);
 
 /// Add the rows, and what checks a command where it leads.
 void bind_rows(nanobind::module_& m);
@@ -46,6 +50,9 @@ Stepper& stepper_of(nanobind::handle object);
 
 /// Return the engine of a Python `Engine`, which lives as long as that.
 Engine& engine_of(nanobind::handle object);
+
+/// Return the kinematics of a Python `ForwardKinematics`, which live as long as that.
+ForwardKinematics& kinematics_of(nanobind::handle object);
 
 /// Return the rows of a Python `Rows`, and the check of a Python `Shortening`.
 Rows& rows_of(nanobind::handle object);

@@ -64,7 +64,7 @@ void Collision::near(const Kinematics& now, const double* travel, double dt, Nea
   for (int dof = 0; dof < nv_; ++dof) {
     const double* axis = now.cdof + 6 * dof;
     double turned[3];
-    cross(axis, now.subtree_com + 3 * a_.dof_root[dof], turned);
+    cross(axis, now.reference + 3 * a_.dof_root[dof], turned);
     for (int i = 0; i < 3; ++i) origin_[3 * dof + i] = axis[3 + i] - turned[i];
   }
   near.count = 0;

@@ -107,7 +107,8 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
     end_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(
                               std::chrono::duration<double>(std::max(seconds, 0.0)));
   }
-  evaluate(q);
+  place(q);
+  evaluate_terms();
   assemble(dt);
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
   const bool warm = warm_;
@@ -119,6 +120,7 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   const bool limited = limits_ != nullptr && limits_->count() > 0;
   finished_ = !limited || trusted(ending);
   if (finished_ && limited && shortening_ != nullptr) finished_ = shortening_->free(v_.data(), dt);
+  if (!finished_) place_all(q);  // Python goes on, and may look at anything
   if (limited || trusted(ending)) return ending;
   const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
   if (stopped && residuals_.primal <= certified) return ending;
@@ -127,9 +129,23 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
 }
 
 void Engine::evaluate(const double* q) {
+  place_all(q);
+  if (kinematics_ != nullptr) kinematics_->update(q);
+  evaluate_terms();
+}
+
+void Engine::place(const double* q) {
+  if (kinematics_ == nullptr || constants_.inertia > 0.0) place_all(q);
+  if (kinematics_ != nullptr) kinematics_->update(q);
+}
+
+void Engine::place_all(const double* q) {
   std::copy_n(q, mujoco_.nq, mujoco_.qpos);
   mujoco_.call.kinematics(mujoco_.model, mujoco_.data);
   mujoco_.call.com_pos(mujoco_.model, mujoco_.data);
+}
+
+void Engine::evaluate_terms() {
   for (const auto& term : rows_) term->evaluate();
   for (const JointTerm& term : joints_) term.evaluate(mujoco_, stack_);
 }

@@ -11,6 +11,7 @@
 #include "certificate.hpp"
 #include "damping.hpp"
 #include "memory.hpp"
+#include "kinematics.hpp"
 #include "mujoco.hpp"
 #include "qp.hpp"
 #include "rows.hpp"
@@ -68,7 +69,12 @@ class Engine {
   /// Have rows in the program, and commands checked where they lead: both must live as long.
   void limit(Rows& limits, Shortening* shortening);
 
-  /// Run the kinematics at q (nq,) and evaluate the terms, but for those that others evaluate.
+  /// Place what a step looks at by these in place of MuJoCo's, where nothing else is to be known:
+  /// they must live as long.
+  void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
+
+  /// Run the kinematics of the whole model at q (nq,) and evaluate the terms, but for those that
+  /// others evaluate.
   void evaluate(const double* q);
 
   /// Write the program at what was evaluated, for a step of dt seconds; return whether a joint is
@@ -118,6 +124,9 @@ class Engine {
  private:
   using Clock = std::chrono::steady_clock;
 
+  void place(const double* q);
+  void place_all(const double* q);
+  void evaluate_terms();
   void rates(double dt);
   void rate_of(const TermData& term, double dt);
   void add_terms();
@@ -138,6 +147,7 @@ class Engine {
   std::optional<Damping> damping_;
   Rows* limits_ = nullptr;
   Shortening* shortening_ = nullptr;
+  ForwardKinematics* kinematics_ = nullptr;
   int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;

@@ -42,7 +42,7 @@ struct RowsArgument {
 
 struct FrameArgument {
   Frame frame;
-  Reading position, rotation, robot_com;
+  Reading position, rotation, reference;
 };
 
 // The engine, and the arrays of Python's that it points into.
@@ -110,6 +110,11 @@ class BoundEngine {
     kept_.append(std::move(shortening));
   }
 
+  void follow(nb::object kinematics) {
+    engine_->follow(kinematics_of(kinematics));
+    kept_.append(std::move(kinematics));
+  }
+
   Engine& operator*() { return *engine_; }
   const Engine& operator*() const { return *engine_; }
 
@@ -136,10 +141,10 @@ class BoundEngine {
                const std::vector<std::tuple<int, double, Reading, Reading>>& moved,
                const std::vector<std::tuple<double, Reading>>& parts) {
     std::vector<MovedMass> masses;
-    for (const auto& [dof, share, point, robot_com] : moved) {
-      masses.push_back({dof, share, point.data(), robot_com.data()});
+    for (const auto& [dof, share, point, reference] : moved) {
+      masses.push_back({dof, share, point.data(), reference.data()});
       kept_.append(nb::cast(point));
-      kept_.append(nb::cast(robot_com));
+      kept_.append(nb::cast(reference));
     }
     Numbers shares;
     std::vector<const double*> centres;
@@ -218,7 +223,7 @@ class BoundEngine {
   Frame kept(const FrameArgument& argument) {
     kept_.append(nb::cast(argument.position));
     kept_.append(nb::cast(argument.rotation));
-    kept_.append(nb::cast(argument.robot_com));
+    kept_.append(nb::cast(argument.reference));
     return argument.frame;
   }
 
@@ -249,15 +254,15 @@ RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading 
   return rows;
 }
 
-FrameArgument make_frame(Reading position, Reading rotation, Reading robot_com,
+FrameArgument make_frame(Reading position, Reading rotation, Reading reference,
                          std::vector<int> dofs) {
   require(position, 3, "position");
   require(rotation, 9, "rotation");
-  require(robot_com, 3, "robot_com");
-  return {{position.data(), rotation.data(), robot_com.data(), std::move(dofs)},
+  require(reference, 3, "reference");
+  return {{position.data(), rotation.data(), reference.data(), std::move(dofs)},
           position,
           rotation,
-          robot_com};
+          reference};
 }
 
 void evaluate(BoundEngine& bound, const Reading& q) {
@@ -288,7 +293,7 @@ void bind_engine(nb::module_& m) {
       .def(nb::new_(&make_rows), "first"_a, "count"_a, "gain"_a, "root"_a, "target"_a, "twist"_a,
            "moving"_a, "clamps"_a = std::vector<std::tuple<int, int, double>>());
   nb::class_<FrameArgument>(m, "Frame", "Where the pose of a frame stands, and what moves it.")
-      .def(nb::new_(&make_frame), "position"_a, "rotation"_a, "robot_com"_a, "dofs"_a);
+      .def(nb::new_(&make_frame), "position"_a, "rotation"_a, "reference"_a, "dofs"_a);
   nb::class_<BoundEngine>(m, "Engine", "The whole step, in the arrays that it is given.")
       .def(nb::init<const std::vector<std::uintptr_t>&, std::uintptr_t, std::uintptr_t, Writing,
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,
@@ -315,6 +320,8 @@ void bind_engine(nb::module_& m) {
            "Run the kinematics and evaluate the terms, but for the foreign ones.")
       .def("assemble", [](BoundEngine& bound, double dt) { return (*bound).assemble(dt); }, "dt"_a,
            "Write the program at what was evaluated; return whether a joint is outside its range.")
+      .def("follow", &BoundEngine::follow, "kinematics"_a,
+           "Place what a step looks at by these, in place of MuJoCo's.")
       .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
            "Have rows in the program, and commands checked where they lead.")
       .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,

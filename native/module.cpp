@@ -115,6 +115,7 @@ NB_MODULE(_native, m) {
       .def_prop_ro("shape", [](const rmrc::QPSolver& solver) {
         return nb::make_tuple(solver.size(), solver.max_rows(), solver.max_equalities());
       }, "The number of variables, and the most rows and equalities.");
+  rmrc::bind_kinematics(m);
   rmrc::bind_engine(m);
   rmrc::bind_rows(m);
   rmrc::bind_stepper(m);

@@ -26,7 +26,7 @@ struct MuJoCo {
   void* data;
   int nq, nv;
   double* qpos;        // (nq,)
-  const double* cdof;  // (nv, 6): the axis of each dof, angular then linear, at its robot's com
+  const double* cdof;  // (nv, 6): the axis of each dof, angular then linear, at its root's origin
 };
 
 /// Any data of the model, and the arrays of its that barriers read.
@@ -36,7 +36,7 @@ struct Kinematics {
   const double *xpos, *xquat;           // of the bodies (nbody, 3) and (nbody, 4)
   const double *geom_xpos, *geom_xmat;  // (ngeom, 3) and (ngeom, 9)
   const double* site_xpos;              // (nsite, 3)
-  const double *cdof, *subtree_com;     // (nv, 6), (nbody, 3)
+  const double *cdof, *reference;       // (nv, 6), and the point of each root that they refer to
 };
 
 }  // namespace rmrc

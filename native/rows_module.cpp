@@ -70,7 +70,7 @@ BoundKinematics make_kinematics(std::uintptr_t data, nb::dict arrays) {
   const Kinematics made{reinterpret_cast<void*>(data), all("qpos"),
                         all("mocap_pos"),  all("mocap_quat"), all("xpos"),
                         all("xquat"),      all("geom_xpos"),  all("geom_xmat"),
-                        all("site_xpos"),  all("cdof"),       all("subtree_com")};
+                        all("site_xpos"),  all("cdof"),       all("reference")};
   return {made, std::move(arrays)};
 }
 
@@ -101,16 +101,16 @@ class BoundRows {
 
   Rows& operator*() { return *rows_; }
 
-  void add_speed(Reading position, Reading rotation, Reading robot_com, std::vector<int> dofs,
+  void add_speed(Reading position, Reading rotation, Reading reference, std::vector<int> dofs,
                  bool turned, double linear, double angular, Reading rate) {
-    if (position.size() != 3 || rotation.size() != 9 || robot_com.size() != 3 ||
+    if (position.size() != 3 || rotation.size() != 9 || reference.size() != 3 ||
         rate.size() != 6) {
       throw std::invalid_argument("a frame has a wrong size");
     }
-    for (const Reading* array : {&position, &rotation, &robot_com, &rate}) {
+    for (const Reading* array : {&position, &rotation, &reference, &rate}) {
       kept_.push_back(nb::cast(*array));
     }
-    rows_->add(SpeedRows({position.data(), rotation.data(), robot_com.data(), std::move(dofs)},
+    rows_->add(SpeedRows({position.data(), rotation.data(), reference.data(), std::move(dofs)},
                          turned, linear, angular, rate.data(), rows_->mujoco().cdof));
   }
 
@@ -212,6 +212,11 @@ class BoundShortening {
         native_(rows_of(rows), own.arrays, std::move(deceleration), twist.data(),
                 static_cast<int>(twist.size() / 6)) {}
 
+  void follow(nb::object kinematics) {
+    native_.follow(kinematics_of(kinematics));
+    kept_.push_back(std::move(kinematics));
+  }
+
   Shortening& operator*() { return native_; }
 
  private:
@@ -234,7 +239,7 @@ void bind_rows(nb::module_& m) {
            nb::kw_only(), "engine"_a, "now"_a, "inverse_acceleration"_a, "matrix"_a, "lower"_a,
            "upper"_a, "multiplier"_a, "ids"_a, "distance"_a, "slope"_a, "drift"_a)
       .def("add_speed", &BoundRows::add_speed, nb::kw_only(), "position"_a, "rotation"_a,
-           "robot_com"_a, "dofs"_a, "turned"_a, "linear"_a, "angular"_a, "rate"_a)
+           "reference"_a, "dofs"_a, "turned"_a, "linear"_a, "angular"_a, "rate"_a)
       .def("add_collision", &BoundRows::add_collision, nb::kw_only(), "d_min"_a, "detect"_a,
            "gain"_a, "push"_a, "twist"_a, "arrays"_a)
       .def("add_workspace", &BoundRows::add_workspace, "planes"_a, "gain"_a, "push"_a, "twist"_a)
@@ -255,6 +260,8 @@ void bind_rows(nb::module_& m) {
   nb::class_<BoundShortening>(m, "Shortening", "Whether a command may be carried out as it is.")
       .def(nb::init<nb::object, const BoundKinematics&, Numbers, Reading>(), nb::kw_only(),
            "rows"_a, "own"_a, "deceleration"_a, "twist"_a)
+      .def("follow", &BoundShortening::follow, "kinematics"_a,
+           "Place what the barriers look at by these, in place of MuJoCo's.")
       .def(
           "free",
           [](BoundShortening& bound, const Reading& v, double dt) {

@@ -258,7 +258,11 @@ void Shortening::put(const double* way) {
   for (int i = 0; i < n_; ++i) moved_[rows_.dofs()[i]] = way[i];
   std::copy_n(rows_.now().qpos, mujoco_.nq, own_.qpos);
   mujoco_.call.integrate_pos(mujoco_.model, own_.qpos, moved_.data(), 1.0);
-  mujoco_.call.kinematics(mujoco_.model, own_.data);
+  if (kinematics_ != nullptr) {
+    kinematics_->update(own_.qpos);
+  } else {
+    mujoco_.call.kinematics(mujoco_.model, own_.data);
+  }
 }
 
 // Put the mocap bodies where they will be at the end of the step.

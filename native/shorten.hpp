@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "collision.hpp"
+#include "kinematics.hpp"
 #include "rows.hpp"
 
 namespace rmrc {
@@ -14,6 +15,9 @@ class Shortening {
   /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit.
   Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
              const double* twist, int mocaps);
+
+  /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
+  void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
 
   /// Whether v (n,) keeps all distances after a step of dt, and on the way to rest behind it, for
   /// all that is known without doubt.
@@ -58,6 +62,7 @@ class Shortening {
   const Rows& rows_;
   MuJoCo mujoco_;
   Kinematics own_;
+  ForwardKinematics* kinematics_ = nullptr;
   const double* twist_;
   int mocaps_, n_;
   std::vector<double> deceleration_;

@@ -57,7 +57,7 @@ void SpeedRows::write(const int* place, int n, double* rows, double* bound) cons
     b[1] = b[2] = std::sqrt(0.5 * (largest * largest - first * first));
     basis_along(wanted, length, basis);
     double arm[3];
-    for (int i = 0; i < 3; ++i) arm[i] = frame_.position[i] - frame_.robot_com[i];
+    for (int i = 0; i < 3; ++i) arm[i] = frame_.position[i] - frame_.reference[i];
     for (const int dof : frame_.dofs) {
       if (place[dof] < 0) continue;
       const double* axis = cdof_ + 6 * dof;

@@ -198,7 +198,7 @@ void RowTerm::measure(double* measures) const {
 
 void RowTerm::turn(const Frame& frame, const double* T) {
   double offset[3];
-  for (int i = 0; i < 3; ++i) offset[i] = frame.position[i] - frame.robot_com[i];
+  for (int i = 0; i < 3; ++i) offset[i] = frame.position[i] - frame.reference[i];
   const int count = static_cast<int>(dofs_.size()), own = static_cast<int>(frame.dofs.size());
   double* world = world_.data();
   if (own < count) std::fill(world_.begin(), world_.end(), 0.0);
@@ -442,7 +442,7 @@ void CentreOfMass::differentiate() {
   for (const MovedMass& part : moved_) {
     const double* angular = mujoco_.cdof + 6 * part.dof;
     double offset[3], moved[3];
-    for (int i = 0; i < 3; ++i) offset[i] = part.point[i] - part.robot_com[i];
+    for (int i = 0; i < 3; ++i) offset[i] = part.point[i] - part.reference[i];
     cross(angular, offset, moved);
     for (int i = 0; i < 3; ++i) out[i * stride_] = part.share * (angular[3 + i] + moved[i]);
     ++out;

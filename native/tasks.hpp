@@ -38,7 +38,7 @@ struct TermData {
 struct Frame {
   const double* position;   // (3,)
   const double* rotation;   // (9,)
-  const double* robot_com;  // (3,): the point that cdof refers to
+  const double* reference;  // (3,): the point that cdof refers to
   std::vector<int> dofs;
 };
 
@@ -169,7 +169,7 @@ struct MovedMass {
   int dof;
   double share;
   const double* point;      // (3,)
-  const double* robot_com;  // (3,)
+  const double* reference;  // (3,)
 };
 
 /// e = c* − Σ share c_i over subtrees: a `com` task.

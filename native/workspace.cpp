@@ -47,7 +47,7 @@ void Workspace::near(const Kinematics& now, const double*, double, Near& near) {
     const Plane& plane = planes_[k];
     const double *normal = plane.normal, *position = position_of(now, plane);
     double *slope = near.slope + static_cast<long>(k) * nv_, arm[3], moment[3];
-    for (int i = 0; i < 3; ++i) arm[i] = position[i] - now.subtree_com[3 * plane.root + i];
+    for (int i = 0; i < 3; ++i) arm[i] = position[i] - now.reference[3 * plane.root + i];
     cross(arm, normal, moment);
     std::fill_n(slope, nv_, 0.0);
     for (const int dof : plane.dofs) {

@@ -38,12 +38,12 @@ struct Arm {
   // Of the world and the arm's end, each with one geom.
   double xpos[6] = {}, xquat[8] = {1, 0, 0, 0, 1, 0, 0, 0};
   double geom_xpos[6] = {ball[0], ball[1], ball[2]}, geom_xmat[18] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-  double subtree_com[6] = {};
+  double reference[6] = {};
 };
 
 rmrc::Kinematics arrays_of(Arm& arm) {
   return {&arm,          arm.q,         nullptr, nullptr,  arm.xpos,       arm.xquat,
-          arm.geom_xpos, arm.geom_xmat, nullptr, arm.cdof, arm.subtree_com};
+          arm.geom_xpos, arm.geom_xmat, nullptr, arm.cdof, arm.reference};
 }
 
 Arm& arm_of(void* data) { return *static_cast<Arm*>(data); }

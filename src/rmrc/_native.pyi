@@ -50,7 +50,7 @@ class Frame:
     """Where the pose of a frame stands, and what moves it."""
 
     def __init__(
-        self, position: Array, rotation: Array, robot_com: Array, dofs: list[int]
+        self, position: Array, rotation: Array, reference: Array, dofs: list[int]
     ) -> None: ...
 
 class Engine:
@@ -123,7 +123,22 @@ class Engine:
         self, q: Array, dt: float, seconds: float, solution: Array
     ) -> tuple[str, int, float, float, float, bool, bool]: ...
     def limit(self, rows: Rows, shortening: Shortening | None) -> None: ...
+    def follow(self, kinematics: ForwardKinematics) -> None: ...
     def forget(self) -> None: ...
+
+class ForwardKinematics:
+    """Places what a step looks at."""
+
+    def __init__(
+        self,
+        *,
+        arrays: Mapping[str, Array],
+        bodies: Sequence[tuple[Any, ...]],
+        geoms: Sequence[tuple[Any, ...]],
+        sites: Sequence[tuple[Any, ...]],
+        masses: Sequence[tuple[Any, ...]],
+    ) -> None: ...
+    def update(self, q: Array) -> None: ...
 
 class Kinematics:
     """Where the arrays of an mjData stand."""
@@ -153,7 +168,7 @@ class Rows:
         *,
         position: Array,
         rotation: Array,
-        robot_com: Array,
+        reference: Array,
         dofs: list[int],
         turned: bool,
         linear: float,
@@ -192,6 +207,7 @@ class Shortening:
     def __init__(
         self, *, rows: Rows, own: Kinematics, deceleration: list[float], twist: Array
     ) -> None: ...
+    def follow(self, kinematics: ForwardKinematics) -> None: ...
     def free(self, v: Array, dt: float) -> bool: ...
 
 class Record:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
+from rmrc.control import native_kinematics
 from rmrc.control.engine import PythonEngine
 from rmrc.control.native_rows import NativeRows, NativeShortening
 from rmrc.control.native_steps import Layout, Stepper, build_stepper
@@ -138,12 +139,13 @@ class NativeEngine(PythonEngine):
         assembly, qp, box = self._assembly, self._assembly.qp, problem.box
         self._moves = dofs_of_bodies(model)
         self._moving = np.frombuffer(evaluation.moving, dtype=np.uint8)
+        self._cdof = np.zeros((model.nv, 6))
         self._native = _native.Engine(
             functions=addresses(),
             model=model._address,
             data=data._address,
             qpos=data.qpos,
-            cdof=data.cdof,
+            cdof=self._cdof,
             error=evaluation.error,
             feedforward=evaluation.feedforward,
             rate=assembly.rate,
@@ -173,6 +175,8 @@ class NativeEngine(PythonEngine):
             ub=qp.ub,
             max_iter=problem.config.solver.max_iter or MOST_CHANGES,
         )
+        watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
+        self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
         for term in evaluation.terms:
             self._add(term)
         self._adapt()
@@ -198,7 +202,7 @@ class NativeEngine(PythonEngine):
     def _connect(self) -> None:
         """Hand the rows to the extension, and what checks the commands where they lead."""
         rows, shortening = self._rows, self._shortening
-        rows.connect(self._native, self._assembly.rate)
+        rows.connect(self._native, self._assembly.rate, self._cdof)
         if shortening is not None:
             shortening.connect(rows, self.evaluation.obstacle_twist)
         self._native.limit(rows.native, None if shortening is None else shortening.native)
@@ -252,14 +256,15 @@ class NativeEngine(PythonEngine):
         model, data = self.problem.model, self.evaluation.data
         body = frame.body(model)
         position, rotation = frame.views(data)
-        com = data.subtree_com[model.body_rootid[body]]
-        return _native.Frame(position, rotation, com, np.flatnonzero(self._moves[body]).tolist())
+        reference = data.xpos[model.body_rootid[body]]
+        return _native.Frame(position, rotation, reference, np.flatnonzero(self._moves[body]).tolist())
 
     def _masses(
         self, term: ComTerm
     ) -> tuple[list[tuple[int, float, Array, Array]], list[tuple[float, Array]]]:
         """Return what each dof moves of the mass, and the subtrees with their shares."""
-        model, com = self.problem.model, self.evaluation.data.subtree_com
+        model, data = self.problem.model, self.evaluation.data
+        com = data.subtree_com
         moved = []
         for dof, body in enumerate(model.dof_bodyid.tolist()):
             for root, share in term.shares:
@@ -272,7 +277,7 @@ class NativeEngine(PythonEngine):
                     inner = share * model.body_subtreemass[body] / model.body_subtreemass[root]
                 else:
                     continue
-                moved.append((dof, float(inner), com[part], com[model.body_rootid[body]]))
+                moved.append((dof, float(inner), com[part], data.xpos[model.body_rootid[body]]))
         return moved, [(share, com[root]) for root, share in term.shares]
 
     def _ancestors(self, body: int) -> set[int]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
+from rmrc.control import native_kinematics
 from rmrc.control.shorten import Shortening
 from rmrc.problem.limits.ball import BallRange
 from rmrc.problem.limits.barrier import Barrier, Near
@@ -27,22 +28,24 @@ ARRAYS = (
     "geom_xpos",
     "geom_xmat",
     "site_xpos",
-    "cdof",
-    "subtree_com",
 )
 """What barriers read of an mjData."""
 
 
-def kinematics(data: mujoco.MjData) -> _native.Kinematics:
-    """Return where the arrays of an mjData stand."""
-    return _native.Kinematics(data._address, {name: getattr(data, name) for name in ARRAYS})
+def kinematics(data: mujoco.MjData, cdof: Array) -> _native.Kinematics:
+    """Return where the arrays of an mjData stand, and the axes of the dofs (nv, 6)."""
+    arrays = {name: getattr(data, name) for name in ARRAYS} | {"cdof": cdof}
+    return _native.Kinematics(data._address, arrays | {"reference": data.xpos})
 
 
 class NativeRows(Rows):
     """Writes the rows in C++, but for those of mink's limits, with the state of the barriers."""
 
-    def connect(self, engine: _native.Engine, rate: Array) -> None:
-        """Hand the barriers and the speeds to the extension; `rate` is ẋ of all terms."""
+    def connect(self, engine: _native.Engine, rate: Array, cdof: Array) -> None:
+        """Hand the barriers and the speeds to the extension; `rate` is ẋ of all terms.
+
+        `cdof` are the axes of the dofs, each at the origin of its root.
+        """
         problem, evaluation = self._problem, self._evaluation
         model, n = problem.model, problem.dofs.size
         sizes = [barrier.size for barrier in self.barriers]
@@ -52,7 +55,7 @@ class NativeRows(Rows):
         self._distance, self._drift, self._multiplier = np.zeros((3, capacity))
         self.native = _native.Rows(
             engine=engine,
-            now=kinematics(evaluation.data),
+            now=kinematics(evaluation.data, cdof),
             inverse_acceleration=self._inverse_acceleration.tolist(),
             matrix=self._matrix,
             lower=self._limits[0],
@@ -77,7 +80,7 @@ class NativeRows(Rows):
             self.native.add_speed(
                 position=position,
                 rotation=rotation,
-                robot_com=data.subtree_com[model.body_rootid[body]],
+                reference=data.xpos[model.body_rootid[body]],
                 dofs=self._moves[body].nonzero()[0].tolist(),
                 turned=limit.turned,
                 linear=limit.linear,
@@ -159,12 +162,15 @@ class NativeShortening(Shortening):
 
     def connect(self, rows: NativeRows, twist: Array) -> None:
         """Have the rows of an engine checked; `twist` are the mocap bodies' velocities."""
+        cdof = np.zeros((self._model.nv, 6))
         self.native = _native.Shortening(
             rows=rows.native,
-            own=kinematics(self._data),
+            own=kinematics(self._data, cdof),
             deceleration=self._deceleration.tolist(),
             twist=twist,
         )
+        watched = native_kinematics.of_barriers(rows.barriers)
+        self.native.follow(native_kinematics.build(self._model, self._data, cdof, watched))
 
     def share(
         self,

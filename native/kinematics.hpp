@@ -1,0 +1,81 @@
+// Forward kinematics of what a step looks at, in place of MuJoCo's of the whole model.
+#pragma once
+
+#include <vector>
+
+namespace rmrc {
+
+/// The kinds of joints, by the numbers of MuJoCo's mjtJoint.
+enum class JointKind { free, ball, slide, hinge };
+
+struct Joint {
+  JointKind kind;
+  int coordinate, dof;  // where it begins in q and in v
+  double axis[3], position[3];  // in its body
+  double zero;                  // the coordinate at which the body is where the model has it
+};
+
+struct Body {
+  int id, parent;
+  int root;   // of its tree
+  int mocap;  // the number of the mocap body that this is, or −1
+  double position[3], quaternion[4];  // in the parent
+  std::vector<Joint> joints;
+};
+
+/// A geom or site, fixed to a body.
+struct Attached {
+  int id, body;
+  bool shifted, turned;  // whether its origin, and its axes, are others than the body's
+  double position[3], quaternion[4];
+};
+
+/// A body of a subtree whose centre of mass is asked for.
+struct Mass {
+  int id, parent;  // −1 where nothing above is asked for
+  double mass, of_subtree;
+  bool shifted;  // whether its centre is another point than its origin
+  double centre[3];
+};
+
+/// What there is to place: bodies that hold still are left out, and stay where they are.
+struct Placed {
+  std::vector<Body> bodies;  // a parent before its children
+  std::vector<Attached> geoms, sites;
+  std::vector<Mass> masses;  // a child before its parent
+};
+
+/// Where poses are written: arrays of an mjData, but for the axes.
+struct PoseArrays {
+  double* qpos;
+  const double *mocap_pos, *mocap_quat;
+  double *xpos, *xquat, *xmat;
+  double *geom_xpos, *geom_xmat, *site_xpos, *site_xmat, *subtree_com;
+  double* cdof;  // (nv, 6), of the dofs that move a body: angular, then linear at its root's origin
+};
+
+/// Places bodies with what is fixed to them, each number the same as that of mj_kinematics.
+///
+/// The axes are those of mj_comPos, but at the origin of the root of the tree instead of the centre
+/// of its mass, which would take all bodies.
+class ForwardKinematics {
+ public:
+  ForwardKinematics(Placed placed, const PoseArrays& arrays, int nq);
+
+  /// Go to a configuration (nq,), which may be where it is.
+  void update(const double* q);
+
+ private:
+  void place(const Body& body);
+  void move(const Joint& joint, double* anchor, double* position, double* quaternion);
+  void write_axes(const Body& body);
+  void attach(const Attached& part, double* position, double* rotation) const;
+  void weigh();
+
+  Placed placed_;
+  PoseArrays a_;
+  int nq_;
+  std::vector<double> anchors_;  // of the joints of one body
+};
+
+}  // namespace rmrc
