@@ -76,6 +76,9 @@ void Engine::adapt(DampingRule rule, std::vector<TaskedRow> rows) {
 void Engine::limit(Rows& limits, Shortening* shortening) {
   limits_ = &limits;
   shortening_ = shortening;
+  correction_.emplace(limits);
+  for (auto* values : {&whole_, &brake_, &shortened_, &first_z_}) values->resize(v_.size());
+  first_y_.resize(limits.capacity());
   solver_ = QPSolver(size(), limits.capacity(), 0, max_iterations_);
 }
 
@@ -119,13 +122,19 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   }
   const bool limited = limits_ != nullptr && limits_->count() > 0;
   finished_ = !limited || trusted(ending);
-  if (finished_ && limited && shortening_ != nullptr) finished_ = shortening_->free(v_.data(), dt);
+  if (finished_ && limited && shortening_ != nullptr) finished_ = at_distance(dt);
   if (!finished_) place_all(q);  // Python goes on, and may look at anything
   if (limited || trusted(ending)) return ending;
   const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
   if (stopped && residuals_.primal <= certified) return ending;
-  brake();
+  brake(v_.data());
   return ending == Ending::solved ? Ending::failed : ending;
+}
+
+std::optional<Ending> Engine::resume(const double* q, double dt) {
+  bool same = dt == dt_ && std::equal(q, q + mujoco_.nq, mujoco_.qpos);
+  for (int i = 0; i < size(); ++i) same &= v_previous_[i] == stack_.v_previous[constants_.dofs[i]];
+  return same ? std::exchange(suspended_, std::nullopt) : std::nullopt;
 }
 
 void Engine::evaluate(const double* q) {
@@ -151,6 +160,10 @@ void Engine::evaluate_terms() {
 }
 
 bool Engine::assemble(double dt) {
+  dt_ = dt;
+  suspended_.reset();
+  corrected_ = relaxed_ = false;
+  share_ = 1.0;
   for (ForeignRows* term : foreign_) term->read();
   rates(dt);
   add_terms();
@@ -228,7 +241,7 @@ Ending Engine::attempt() {
   if (limits_ != nullptr) {
     const RowArrays& rows = limits_->arrays();
     program.C = rows.matrix;
-    program.lo = rows.lower;
+    program.lo = corrected_ ? correction_->lower() : rows.lower;
     program.hi = rows.upper;
     program.rows = limits_->count();
     program.keys = limits_->keys();
@@ -258,14 +271,14 @@ bool Engine::trusted(Ending ending) const {
   return largest <= certified || largest <= certified * std::sqrt(dot(g, g, size()));
 }
 
-// The point of the box nearest to rest, in place of a solution that is none.
-void Engine::brake() {
+// Write the point of the box nearest to rest (n,).
+void Engine::brake(double* v) const {
   bool finite = true;
   for (int i = 0; i < size(); ++i) {
-    v_[i] = std::min(std::max(0.0, program_.lb[i]), program_.ub[i]);
-    finite &= std::isfinite(v_[i]);
+    v[i] = std::min(std::max(0.0, program_.lb[i]), program_.ub[i]);
+    finite &= std::isfinite(v[i]);
   }
-  if (!finite) std::fill(v_.begin(), v_.end(), 0.0);
+  if (!finite) std::fill_n(v, size(), 0.0);
 }
 
 }  // namespace rmrc

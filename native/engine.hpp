@@ -9,6 +9,7 @@
 
 #include "box.hpp"
 #include "certificate.hpp"
+#include "correction.hpp"
 #include "damping.hpp"
 #include "memory.hpp"
 #include "kinematics.hpp"
@@ -109,8 +110,23 @@ class Engine {
   bool outside() const { return outside_ || (limits_ != nullptr && limits_->passed()); }
 
   /// Whether the last solution is all that there is to it: with rows what was not certified, and a
-  /// command that may have to be shortened, are left to rmrc.control.engine.PythonEngine.
+  /// command with too much to look at, are left to rmrc.control.engine.PythonEngine.
   bool finished() const { return finished_; }
+
+  /// Keep the last step, which is not finished, for who takes it up: how it has ended until now.
+  void suspend(Ending ending) { suspended_ = ending; }
+
+  /// Return how a step that was suspended has ended, once, if it is this one.
+  std::optional<Ending> resume(const double* q, double dt);
+
+  /// What the check where it leads has left of the last command, from the brake on.
+  double share() const { return share_; }
+
+  /// Whether a distance falls below its limit even so, or a frame is faster than it may be.
+  bool relaxed() const { return relaxed_; }
+
+  /// The lo that the last step was solved again with; null if it was not.
+  const double* raised_lower() const { return corrected_ ? correction_->lower() : nullptr; }
 
   /// The rows of the last step; null if the problem has none.
   const Rows* limits() const { return limits_; }
@@ -134,7 +150,18 @@ class Engine {
   void add_inertia();
   Ending attempt();
   bool trusted(Ending ending) const;
-  void brake();
+  void brake(double* v) const;
+  bool at_distance(double dt);
+  bool keep_distances(double dt);
+  bool misses_speeds() const;
+
+  // What becomes of a program that is solved, but for the vectors.
+  struct Outcome {
+    Residuals residuals;
+    int iterations;
+    double share;
+    bool relaxed;
+  };
 
   MuJoCo mujoco_;
   Stack stack_;
@@ -148,10 +175,16 @@ class Engine {
   Rows* limits_ = nullptr;
   Shortening* shortening_ = nullptr;
   ForwardKinematics* kinematics_ = nullptr;
+  std::optional<Correction> correction_;
+  bool corrected_ = false, relaxed_ = false;
+  double share_ = 1.0;
+  std::vector<double> whole_, brake_, shortened_, first_z_, first_y_;
   int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;
   bool finished_ = true;
+  std::optional<Ending> suspended_;  // of a step that others will take up
+  double dt_ = 0.0;
 
   bool limited_ = false;  // whether there is a deadline
   Clock::time_point end_;

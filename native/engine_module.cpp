@@ -2,6 +2,7 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -10,6 +11,7 @@
 #include <cstdint>
 #include <initializer_list>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -276,12 +278,14 @@ nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
   const std::size_t n = engine.size();
   require(q, static_cast<std::size_t>(engine.mujoco().nq), "q");
   require(solution, 2 * n, "solution");
-  const Ending ending = engine.solve(q.data(), dt, seconds);
+  const auto begun = engine.resume(q.data(), dt);
+  const Ending ending = begun ? *begun : engine.solve(q.data(), dt, seconds);
   std::copy_n(engine.v(), n, solution.data());
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
   return nb::make_tuple(name_of(ending), engine.iterations(), kkt.primal, kkt.dual,
-                        kkt.complementarity, engine.outside(), engine.finished());
+                        kkt.complementarity, engine.outside(), engine.share(), engine.relaxed(),
+                        engine.finished());
 }
 
 }  // namespace
@@ -325,9 +329,18 @@ void bind_engine(nb::module_& m) {
       .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
            "Have rows in the program, and commands checked where they lead.")
       .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,
-           "Solve a step; write v and z, and return how it ended, the iterations, the residuals,\n"
-           "whether a joint or a distance is outside its limit, and whether that is all there is\n"
-           "to the step.")
+           "Solve a step, or take up one that was not finished; write v and z, and return how it\n"
+           "ended, the iterations, the residuals, whether a joint or a distance is outside its\n"
+           "limit, what is left of the command, whether rows were relaxed, and whether that is all\n"
+           "there is to the step.")
+      .def_prop_ro(
+          "raised",
+          [](BoundEngine& bound) -> std::optional<Numbers> {
+            const Engine& engine = *bound;
+            if (engine.raised_lower() == nullptr) return std::nullopt;
+            return Numbers(engine.raised_lower(), engine.raised_lower() + engine.limits()->count());
+          },
+          "The lo that the last step was solved again with; None if it was not.")
       .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");
 }
 

@@ -41,6 +41,7 @@ Rows::Rows(const MuJoCo& mujoco, const Kinematics& now, std::vector<int> dofs,
 void Rows::add(SpeedRows speed) {
   room_ += speed.count();
   if (room_ > capacity_) throw std::invalid_argument("there is no room for so many rows");
+  speed_count_ += speed.count();
   speeds_.push_back(std::move(speed));
 }
 

@@ -39,6 +39,9 @@ class Rows {
 
   int capacity() const { return capacity_; }
   int count() const { return count_; }
+
+  /// How many of the first rows are of speeds, three for each vector.
+  int speed_count() const { return speed_count_; }
   const RowArrays& arrays() const { return arrays_; }
   const Kinematics& now() const { return now_; }
   const MuJoCo& mujoco() const { return mujoco_; }
@@ -64,7 +67,7 @@ class Rows {
   std::vector<int> dofs_, place_;
   std::vector<double> inverse_acceleration_;
   RowArrays arrays_;
-  int capacity_, room_ = 0;
+  int capacity_, speed_count_ = 0, room_ = 0;
   bool stops_;
   std::vector<SpeedRows> speeds_;
   std::vector<std::unique_ptr<Barrier>> barriers_;

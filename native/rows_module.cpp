@@ -2,12 +2,14 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -257,17 +259,22 @@ void bind_rows(nb::module_& m) {
       .def_prop_ro("blocks", &BoundRows::blocks, "First row and number of rows of each barrier.")
       .def_prop_ro("count", [](BoundRows& bound) { return (*bound).count(); })
       .def_prop_ro("passed", [](BoundRows& bound) { return (*bound).passed(); });
-  nb::class_<BoundShortening>(m, "Shortening", "Whether a command may be carried out as it is.")
+  nb::class_<BoundShortening>(m, "Shortening", "How much of a command may be carried out.")
       .def(nb::init<nb::object, const BoundKinematics&, Numbers, Reading>(), nb::kw_only(),
            "rows"_a, "own"_a, "deceleration"_a, "twist"_a)
       .def("follow", &BoundShortening::follow, "kinematics"_a,
            "Place what the barriers look at by these, in place of MuJoCo's.")
       .def(
-          "free",
-          [](BoundShortening& bound, const Reading& v, double dt) {
-            return (*bound).free(v.data(), dt);
+          "share",
+          [](BoundShortening& bound, const Reading& v, const Reading& brake,
+             double dt) -> std::optional<std::tuple<double, bool>> {
+            const Share found = (*bound).share(v.data(), brake.data(), dt);
+            if (!found.known) return std::nullopt;
+            return std::tuple(found.share, found.passed);
           },
-          "v"_a, "dt"_a, "Whether v keeps all distances, for all that is known without doubt.");
+          "v"_a, "brake"_a, "dt"_a,
+          "Return how much of v keeps all distances, from the brake on, and whether one falls\n"
+          "below its limit even so; None if there is too much to look at.");
 }
 
 }  // namespace rmrc

@@ -19,7 +19,7 @@ constexpr int most_parts = 24;
 // More than so many entries, or steps to rest, are left to Python.
 constexpr int most_entries = 128;
 constexpr double most_steps = 1e6;
-constexpr int most_ahead = 24;  // > log₂ most_steps
+constexpr int most_ahead = 24;  // > 1 + log₂ most_steps
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
@@ -33,13 +33,8 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
       twist_(twist),
       mocaps_(mocaps),
       n_(static_cast<int>(rows.dofs().size())),
-      deceleration_(std::move(deceleration)),
-      slows_(std::all_of(deceleration_.begin(), deceleration_.end(),
-                         [](double a) { return std::isfinite(a); })),
-      sign_(n_),
-      speed_(n_),
-      steps_(n_),
-      change_(n_),
+      path_(std::move(deceleration)),
+      command_(n_),
       step_(mujoco_.nv),
       fast_(mujoco_.nv),
       turn_(mujoco_.nv),
@@ -65,48 +60,22 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
   }
 }
 
-bool Shortening::free(const double* v, double dt) {
-  set_out(v, dt);
-  if (!(last_ <= most_steps) || !watch()) return false;
-  if (count_ == 0) return true;
-  still_ = std::all_of(twist_, twist_ + 6 * mocaps_, [](double rate) { return rate == 0.0; });
-  move_obstacles(dt);
-  return worst();
-}
-
-// Begin the way of a step with v, and of those after it, the ith of which has |v| − i a dt left.
-void Shortening::set_out(const double* v, double dt) {
+// Find the entries that a motion with v, or with the brake if there is one, could carry below their
+// limit; false if there are too many, or too many steps.
+bool Shortening::watch(const double* v, const double* brake, double dt) {
   dt_ = dt;
-  last_ = 0.0;
-  for (int i = 0; i < n_; ++i) {
-    const double change = deceleration_[i] * dt;
-    sign_[i] = v[i] > 0.0 ? 1.0 : v[i] < 0.0 ? -1.0 : 0.0;
-    speed_[i] = std::abs(v[i]);
-    steps_[i] = std::floor(speed_[i] / change);
-    change_[i] = change < infinity ? change : 0.0;
-    last_ = std::max(last_, steps_[i]);
-  }
-  last_ += 1.0;
-}
-
-// Write how far the joints have moved at a place, counted in steps (n,).
-void Shortening::way(double place, double* way) const {
-  for (int i = 0; i < n_; ++i) {
-    if (place <= 1.0) {
-      way[i] = sign_[i] * speed_[i] * (place * dt_);
-      continue;
+  std::fill(step_.begin(), step_.end(), 0.0);
+  double* way = ahead_[0].look.way.data();
+  for (const double* command : {brake, v}) {
+    if (command == nullptr) continue;
+    path_.set_out(command, dt);
+    if (!(path_.last() <= most_steps)) return false;
+    path_.way(path_.last(), way);
+    for (int i = 0; i < n_; ++i) {
+      double& step = step_[rows_.dofs()[i]];
+      step = std::max(step, std::abs(way[i]));
     }
-    const double steps = std::min(steps_[i], place - 1.0);
-    const double slowed = 0.5 * change_[i] * (steps * (steps + 1.0));
-    way[i] = sign_[i] * (((steps + 1.0) * speed_[i] - slowed) * dt_);
   }
-}
-
-// Find the entries that the motion could carry below their limit; false if there are too many.
-bool Shortening::watch() {
-  Look& end = ahead_[0].look;
-  way(last_, end.way.data());
-  for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = std::abs(end.way[i]);
   count_ = 0;
   for (std::size_t k = 0; k < rows_.blocks().size(); ++k) {
     const Block& block = rows_.blocks()[k];
@@ -134,14 +103,15 @@ bool Shortening::watch() {
 }
 
 // Whether no look on the path to rest, which is halved until each part is known to be free, finds
-// a room below 0.
-bool Shortening::worst() {
+// a room below `least`; the first that does is kept.
+bool Shortening::worst(double least) {
   Look& end = ahead_[0].look;
-  if (!look(last_, all_.data(), count_, end)) return false;
+  look(path_.last(), all_.data(), count_, end);
+  if (is_short(end, least)) return false;
   Part& whole = ahead_[0];
   whole.count = count_;
   std::copy_n(all_.begin(), count_, whole.among.begin());
-  if (still_ && (slows_ || last_ == 1.0)) {
+  if (still_ && (path_.slows() || path_.last() == 1.0)) {
     begin_.place = 0.0;
     std::fill(begin_.way.begin(), begin_.way.end(), 0.0);
     for (int k = 0; k < count_; ++k) begin_.room[k] = begin_.known[k] = entries_[k].now;
@@ -150,15 +120,17 @@ bool Shortening::worst() {
   }
   const int cuts = parts();
   for (int k = 1; k < cuts; ++k) {
-    const double place = static_cast<double>(k) / cuts;
-    if (!look(place, whole.among.data(), whole.count, begin_)) return false;
+    look(static_cast<double>(k) / cuts, whole.among.data(), whole.count, begin_);
+    if (is_short(begin_, least)) return false;
   }
-  if (last_ == 1.0) return true;
-  return look(1.0, whole.among.data(), whole.count, begin_) && halved();
+  if (path_.last() == 1.0) return true;
+  look(1.0, whole.among.data(), whole.count, begin_);
+  return !is_short(begin_, least) && halved(least);
 }
 
-// The same between the end of the step and rest, from the first part on.
-bool Shortening::halved() {
+// The same between the end of the step and rest, from the first part on. After so many looks what
+// is not known to be free counts as passed.
+bool Shortening::halved(double least) {
   int top = 0, looks = 0;
   while (top >= 0) {
     Part& part = ahead_[top];
@@ -172,21 +144,28 @@ bool Shortening::halved() {
       --top;
       continue;
     }
-    if (++looks > most_looks || top + 1 == most_ahead) return false;
     Part& half = ahead_[++top];
     std::copy_n(some_.begin(), doubts, part.among.begin());
     std::copy_n(some_.begin(), doubts, half.among.begin());
     part.count = half.count = doubts;
-    const double between = begin_.place + std::floor(0.5 * steps);
-    if (!look(between, some_.data(), doubts, half.look)) return false;
+    look(begin_.place + std::floor(0.5 * steps), some_.data(), doubts, half.look);
+    if (++looks > most_looks && half.look.least >= least) half.look.least = -infinity;
+    if (is_short(half.look, least)) return false;
   }
+  return true;
+}
+
+// Whether a look has found too little room, and is kept for it.
+bool Shortening::is_short(const Look& look, double least) {
+  if (!(look.least < least)) return false;
+  found_ = {look.place, look.least, entries_[look.worst]};
   return true;
 }
 
 // Return into how many parts to cut the step, so that nothing is passed through.
 int Shortening::parts() {
   const Part& whole = ahead_[0];
-  for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = speed_[i] * dt_;
+  for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = path_.first(i);
   double passes = 1.0;
   for (int k = 0; k < whole.count; ++k) {
     const Entry& entry = entries_[whole.among[k]];
@@ -203,10 +182,9 @@ int Shortening::doubtful(const Look& before, const Look& after, const int* among
   double all = 0.0;
   for (int i = 0; i < n_; ++i) {
     const int dof = rows_.dofs()[i];
-    const bool moving = steps_[i] >= before.place;
     step_[dof] = std::abs(after.way[i] - before.way[i]);
-    fast_[dof] = moving ? speed_[i] - before.place * change_[i] : 0.0;
-    turn_[dof] = moving ? change_[i] / dt_ : 0.0;
+    fast_[dof] = path_.speed(i, before.place);
+    turn_[dof] = path_.turn(i, before.place);
     all += fast_[dof];
   }
   for (const int dof : rows_.dofs()) bent_[dof] = turn_[dof] + all * fast_[dof];
@@ -231,12 +209,12 @@ int Shortening::doubtful(const Look& before, const Look& after, const int* among
   return doubts;
 }
 
-// Look at some entries, and measure those not known to have room; false if one has none.
-bool Shortening::look(double place, const int* among, int count, Look& look) {
+// Look at some entries, and measure those not known to have room.
+void Shortening::look(double place, const int* among, int count, Look& look) {
   look.place = place;
-  way(place, look.way.data());
+  look.least = infinity;
+  path_.way(place, look.way.data());
   put(look.way.data());
-  bool all = true;
   for (int k = 0; k < count; ++k) {
     const int at = among[k];
     const Entry& entry = entries_[at];
@@ -244,13 +222,14 @@ bool Shortening::look(double place, const int* among, int count, Look& look) {
     double known = planes ? entry.pairs->least(own_, entry.id, entry.plane)
                           : entry.barrier->distance(own_, entry.id);
     known -= entry.floor;
-    look.known[at] = look.room[at] = known;
-    if (planes && !(known >= 0.0)) {
-      look.room[at] = entry.barrier->distance(own_, entry.id) - entry.floor;
-    }
-    all &= look.room[at] >= 0.0;
+    double room = known;
+    if (planes && !(known >= 0.0)) room = entry.barrier->distance(own_, entry.id) - entry.floor;
+    look.known[at] = known;
+    look.room[at] = room;
+    if (room >= look.least) continue;
+    look.least = std::isnan(room) ? -infinity : room;
+    look.worst = at;
   }
-  return all;
 }
 
 // Run the kinematics after a way (n,) of the joints.

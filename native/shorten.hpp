@@ -1,15 +1,24 @@
-// The check of a command where it leads: rmrc.control.shorten, as far as nothing is passed there.
+// The check of a command where it leads, and its shortening where a distance would be passed.
 #pragma once
 
+#include <limits>
 #include <vector>
 
 #include "collision.hpp"
 #include "kinematics.hpp"
+#include "path.hpp"
 #include "rows.hpp"
 
 namespace rmrc {
 
-/// Says whether a command may be carried out as it is; how far it may be is Python's to find out.
+/// How much of a command may be carried out.
+struct Share {
+  double share;  // s of b + s (v − b), with the brake b
+  bool passed;   // whether a distance falls below its limit even so
+  bool known;    // false where there is too much to look at, which is left to Python
+};
+
+/// Keeps distances at the configuration that a command leads to: rmrc.control.shorten.Shortening.
 class Shortening {
  public:
   /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit.
@@ -19,9 +28,12 @@ class Shortening {
   /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
   void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
 
-  /// Whether v (n,) keeps all distances after a step of dt, and on the way to rest behind it, for
-  /// all that is known without doubt.
-  bool free(const double* v, double dt);
+  /// Return how much of v (n,) keeps all distances after a step of dt, and on the way to rest
+  /// behind it, with the brake (n,).
+  Share share(const double* v, const double* brake, double dt);
+
+  /// Return the kinematics where v (n,) leads in a step of dt, behind a share for the same step.
+  const Kinematics& end(const double* v, double dt);
 
  private:
   // An entry of a barrier that the motion could carry below what is allowed.
@@ -38,6 +50,14 @@ class Shortening {
   struct Look {
     double place = 0.0;
     std::vector<double> way, room, known;
+    double least = std::numeric_limits<double>::infinity();  // of the rooms
+    int worst = 0;                                           // the entry that has it
+  };
+
+  // A look that found too little room.
+  struct Found {
+    double place, least;
+    Entry entry;
   };
 
   // What may be passed between a look before and this one.
@@ -47,15 +67,15 @@ class Shortening {
     int count = 0;
   };
 
-  void set_out(const double* v, double dt);
-  bool watch();
-  void add(const Block& block, int row, double reach);
-  bool worst();
-  bool halved();
+  bool watch(const double* v, const double* brake, double dt);
+  double guess(const double* v, const double* brake, double high, double dt);
+  void blend(const double* v, const double* brake, double share, double dt);
+  bool worst(double least);
+  bool halved(double least);
+  bool is_short(const Look& look, double least);
   int parts();
-  bool look(double place, const int* among, int count, Look& look);
+  void look(double place, const int* among, int count, Look& look);
   int doubtful(const Look& before, const Look& after, const int* among, int count, int* found);
-  void way(double place, double* way) const;
   void put(const double* way);
   void move_obstacles(double dt);
 
@@ -65,18 +85,18 @@ class Shortening {
   ForwardKinematics* kinematics_ = nullptr;
   const double* twist_;
   int mocaps_, n_;
-  std::vector<double> deceleration_;
-  bool slows_, still_ = true;
+  bool still_ = true;
   std::vector<const Collision*> pairs_;  // of each block, or null
 
-  // The path: of each joint its sign and speed, the whole steps it takes to rest, and the change.
-  double dt_ = 0.0, last_ = 1.0;
-  std::vector<double> sign_, speed_, steps_, change_;
+  Path path_;
+  double dt_ = 0.0;
+  std::vector<double> command_;                            // (n,)
   std::vector<double> step_, fast_, turn_, bent_, moved_;  // over all dofs (nv,)
 
   std::vector<Entry> entries_;
   std::vector<int> all_, some_;
   int count_ = 0;
+  Found found_{};
   Look begin_;
   std::vector<Part> ahead_;  // the part that ends last comes first
 };

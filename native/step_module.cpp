@@ -200,8 +200,9 @@ class BoundStepper {
     std::unique_ptr<double[]> values(new double[size]);
     stepper_->write(values.get());
     if (stepper_->engine().limits() != nullptr) {
-      nb::setattr(engine, share_, whole_);
-      nb::setattr(engine, relaxed_, nb::bool_(false));
+      const double share = stepper_->engine().share();
+      nb::setattr(engine, share_, share == 1.0 ? whole_ : nb::float_(share));
+      nb::setattr(engine, relaxed_, nb::bool_(stepper_->engine().relaxed()));
       nb::setattr(engine, outside_, nb::bool_(stepper_->engine().outside()));
       nb::setattr(engine, behind_, nb::bool_(true));
     }

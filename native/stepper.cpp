@@ -15,6 +15,7 @@ enum : unsigned {
   limited = 1u << 1,
   damped = 1u << 3,
   recovering = 1u << 4,
+  relaxed = 1u << 5,
   stuck = 1u << 6,
   max_iter = 1u << 7,
   deadline = 1u << 8
@@ -67,7 +68,10 @@ bool Stepper::step(const double* q, double dt, Summary& summary) {
   }
   std::copy_n(state_.v, mujoco.nv, state_.v_previous);
   const Ending ending = engine_.solve(from_.data(), dt, budget_);
-  if (!engine_.finished()) return false;
+  if (!engine_.finished()) {
+    engine_.suspend(ending);
+    return false;
+  }
   progress_.update(engine_, engine_.v(), dt);
   summary = {flags(ending), ending, engine_.iterations()};
   dt_ = dt;
@@ -119,7 +123,10 @@ int Stepper::size() const {
 void Stepper::write(double* out) const {
   const int nq = engine_.mujoco().nq, nv = engine_.mujoco().nv;
   const Residuals& kkt = engine_.residuals();
-  for (const double value : {kkt.primal, kkt.dual, kkt.complementarity, dt_}) *out++ = value;
+  for (const double value :
+       {kkt.primal, kkt.dual, kkt.complementarity, dt_, engine_.share()}) {
+    *out++ = value;
+  }
   out = std::copy_n(state_.v, nv, out);
   out = std::copy_n(state_.q, nq, out);
   out = std::copy_n(from_.data(), nq, out);
@@ -157,7 +164,8 @@ unsigned Stepper::flags(Ending ending) const {
     const double* y = rows->arrays().multiplier;
     for (int r = 0; r < rows->count(); ++r) square += y[r] * y[r];
   }
-  if (square > active_multiplier * active_multiplier) found |= limited;
+  if (square > active_multiplier * active_multiplier || engine_.share() < 1.0) found |= limited;
+  if (engine_.relaxed()) found |= relaxed;
   return found;
 }
 

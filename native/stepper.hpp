@@ -37,7 +37,7 @@ struct Summary {
 };
 
 /// Where v begins among a step's numbers, and the configuration that it leads to behind it.
-inline constexpr int v_begins = 4;
+inline constexpr int v_begins = 5;
 
 /// Takes steps from q as measured or commanded, and keeps what they were computed from.
 class Stepper {
@@ -52,7 +52,7 @@ class Stepper {
   /// Return false, and change nothing, if q is not valid, or the engine has not finished the step.
   bool step(const double* q, double dt, Summary& summary);
 
-  /// Doubles that the last step is written to: residuals (3), dt, v, the configuration v leads to,
+  /// Doubles that the last step is written to: residuals (3), dt, the share, v, the configuration v leads to,
   /// the one it starts from, v_previous, z, the arrays kept, and 1 for each target that moves; then
   /// the number of rows of each barrier, and the ids, lo, hi and y of all rows.
   int size() const;

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.control.correct import Correction
+from rmrc.control.correct import raise_rows
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
@@ -69,7 +69,6 @@ class PythonEngine:
         self._assembly = Assembly(problem, self.evaluation)
         self._rows = self._new_rows()
         self._shortening = self._new_shortening() if problem.barriers else None
-        self._correction = Correction(problem) if problem.barriers else None
         self._solvers: dict[tuple[int, int, bool], _Solver] = {}
         self._solver = self._solver_of(self._assembly.qp)
         hard = any(term.hard for term in self.evaluation.terms)
@@ -340,10 +339,10 @@ class PythonEngine:
         self.keep_distances(solution, dt)
         qp, evaluation = self._assembly.qp, self.evaluation
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
-        if self._correction is None or untouched or not self._in_time():
+        if self._shortening is None or untouched or not self._in_time():
             return solution
-        present = (evaluation.data, evaluation.obstacle_twist)
-        if not self._correction.raise_rows(qp, self._rows.blocks, present, whole, dt):
+        end = self._shortening.end(evaluation.data, evaluation.obstacle_twist, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, end, dt):
             return solution
         corrected = self._best()
         if not self._trusted(corrected):

@@ -120,9 +120,9 @@ class NativeEngine(PythonEngine):
     """Evaluates, assembles and solves in C++, with an active-set method (see native/README.md).
 
     Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
-    would have written them. A program of a box and rows is C++'s as a whole, until a solution is
-    not certified or a command has to be shortened; equalities, levels and the rungs of the ladder
-    are the Python engine's, and what they solve is solved in C++. Terms without an evaluator in
+    would have written them. A program of a box and rows is C++'s as a whole, the correction
+    and the shortening of a command included, until a solution is not certified; equalities, levels
+    and the rungs of the ladder are the Python engine's, and what they solve is solved in C++. Terms without an evaluator in
     C++, the foreign ones, are evaluated in Python before C++ assembles.
     """
 
@@ -345,11 +345,13 @@ class NativeEngine(PythonEngine):
         self.evaluation.v_previous[:] = v_previous
         seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
-        status, iterations, *kkt, self.outside, done = self._native.solve(q, dt, seconds, both)
+        status, iterations, *kkt, self.outside, share, relaxed, done = self._native.solve(
+            q, dt, seconds, both
+        )
         y = _NONE
         if not self._box_alone:
             y = self._catch_up()
-            self.relaxed, self.share = False, 1.0
+            self.relaxed, self.share = relaxed, share
         kkt = KKT(*kkt)
         solution = Solution(both[0], both[1], y, _NONE, iterations, SolveStatus(status), kkt)
         return solution if done else self._finished(solution, dt)
@@ -357,8 +359,10 @@ class NativeEngine(PythonEngine):
     def _catch_up(self) -> Array:
         """Have the rows of the last step where Python looks for them; return their multipliers."""
         self.behind = False
-        multiplier = self._rows.read()
+        multiplier, raised = self._rows.read(), self._native.raised
         self._take_rows()
+        if raised is not None:
+            self._assembly.qp.lo[:] = raised
         return multiplier
 
     @property

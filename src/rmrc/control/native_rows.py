@@ -158,7 +158,7 @@ class NativeRows(Rows):
 
 
 class NativeShortening(Shortening):
-    """Asks the extension first whether a command may be carried out as it is."""
+    """Has the extension find the share of a command, unless there is too much to look at."""
 
     def connect(self, rows: NativeRows, twist: Array) -> None:
         """Have the rows of an engine checked; `twist` are the mocap bodies' velocities."""
@@ -182,6 +182,5 @@ class NativeShortening(Shortening):
         dt: float,
     ) -> tuple[float, bool]:
         """Return s, and whether a distance falls below its limit even so."""
-        if self.native.free(v, dt):
-            return 1.0, False
-        return super().share(data, twist, v, brake, blocks, dt)
+        found = self.native.share(v, brake, dt)
+        return super().share(data, twist, v, brake, blocks, dt) if found is None else found

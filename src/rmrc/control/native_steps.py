@@ -48,7 +48,7 @@ class Layout:
                 "mocap_quat": data.mocap_quat,
                 "obstacle_twist": evaluation.obstacle_twist,
             }
-        first = {"kkt": 3, "dt": 1, "v": nv, "q": nq, "from": nq, "v_previous": nv, "z": n}
+        first = {"kkt": 3, "dt": 1, "share": 1, "v": nv, "q": nq, "from": nq, "v_previous": nv, "z": n}
         shapes = {name: (size,) for name, size in first.items()}
         shapes |= {name: array.shape for name, array in self.kept.items()}
         shapes["moving"] = (len(evaluation.moving),)
@@ -111,7 +111,8 @@ class Record(_native.Record):
         q, v_previous = layout.part(self, "from"), layout.part(self, "v_previous")
         dt, at_rest = layout.part(self, "dt").item(), np.zeros_like(v_previous)
         kept, rows = layout.surroundings(self), layout.rows(self)[0]
-        return Moment(self.engine, q, v_previous, at_rest, dt, kept, rows)
+        share = layout.part(self, "share").item()
+        return Moment(self.engine, q, v_previous, at_rest, dt, kept, rows, share)
 
 
 def build_stepper(engine: "NativeEngine", native: _native.Engine, q: Array, v: Array) -> Stepper:

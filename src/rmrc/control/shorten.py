@@ -188,6 +188,13 @@ class Shortening:
         # What the step before has left may be used up by rounding.
         return 0.0, self._worst(rest, watched, -TOLERANCE).least < -TOLERANCE
 
+    def end(self, data: mujoco.MjData, twist: Array, v: Array, dt: float) -> mujoco.MjData:
+        """Return the configuration that v (n,) leads to in a step of dt, for a while."""
+        self._start[:] = data.qpos
+        self._move_obstacles(data, twist, dt)
+        self._place(v * dt)
+        return self._data
+
     def _watched(
         self, data: mujoco.MjData, paths: list[_Path], blocks: list[Block]
     ) -> list[_Watched]:

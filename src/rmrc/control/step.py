@@ -108,6 +108,7 @@ class Moment:
         dt: float,
         kept: Kept | None = None,
         rows: KeptRows | None = None,
+        share: float = 1.0,
     ):
         self.engine = engine
         self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
@@ -115,7 +116,7 @@ class Moment:
             self._kept, self.share = engine.evaluation.keep(), engine.share
             self._rows = engine.rows.kept() if engine.rows.count else None
         else:
-            self._kept, self.share, self._rows = kept, 1.0, rows
+            self._kept, self.share, self._rows = kept, share, rows
         self.error = self._kept.error
 
     @contextmanager

@@ -1,0 +1,57 @@
+#include "correction.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace rmrc {
+
+namespace {
+
+// rmrc.control.correct: ENOUGH and SPARE; and rmrc.qp.rows.FASTEST.
+constexpr double enough = 1.1;
+constexpr double spare = 1e-7;
+constexpr double fastest_rate = 1e6;
+
+}  // namespace
+
+Correction::Correction(const Rows& rows) : rows_(rows), lower_(rows.capacity()) {}
+
+bool Correction::raise_rows(const Kinematics& end, const double* lb, const double* ub, double dt) {
+  std::copy_n(rows_.arrays().lower, rows_.count(), lower_.begin());
+  bool fell_short = false;
+  for (const Block& block : rows_.blocks()) {
+    if (!raise_block(block, end, dt)) continue;
+    fell_short = true;
+    for (int row = block.first; row < block.first + block.count; ++row) {
+      const double most = fastest(row, lb, ub);
+      lower_[row] = std::min(lower_[row], most - spare * std::abs(most));
+    }
+  }
+  return fell_short;
+}
+
+bool Correction::raise_block(const Block& block, const Kinematics& end, double dt) {
+  bool fell_short = false;
+  for (int row = block.first; row < block.first + block.count; ++row) {
+    const double after = block.barrier->distance(end, static_cast<int>(rows_.arrays().ids[row]));
+    const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + spare - after;
+    if (!(shortfall > spare)) continue;
+    lower_[row] += enough / dt * shortfall;
+    fell_short = true;
+  }
+  return fell_short;
+}
+
+// Return the most that the box alone allows of a row; 0 · ∞ would be no number.
+double Correction::fastest(int row, const double* lb, const double* ub) const {
+  const int n = static_cast<int>(rows_.dofs().size());
+  const double* slope = rows_.arrays().matrix + static_cast<long>(row) * n;
+  double most = 0.0;
+  for (int k = 0; k < n; ++k) {
+    const double low = std::max(lb[k], -fastest_rate), high = std::min(ub[k], fastest_rate);
+    most += std::max(slope[k] * low, slope[k] * high);
+  }
+  return most;
+}
+
+}  // namespace rmrc

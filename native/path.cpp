@@ -1,0 +1,45 @@
+#include "path.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace rmrc {
+
+Path::Path(std::vector<double> deceleration)
+    : deceleration_(std::move(deceleration)),
+      slows_(std::all_of(deceleration_.begin(), deceleration_.end(),
+                         [](double a) { return std::isfinite(a); })),
+      sign_(deceleration_.size()),
+      speed_(deceleration_.size()),
+      steps_(deceleration_.size()),
+      change_(deceleration_.size()) {}
+
+void Path::set_out(const double* v, double dt) {
+  dt_ = dt;
+  last_ = 0.0;
+  for (int i = 0; i < size(); ++i) {
+    const double change = deceleration_[i] * dt;
+    sign_[i] = v[i] > 0.0 ? 1.0 : v[i] < 0.0 ? -1.0 : 0.0;
+    speed_[i] = std::abs(v[i]);
+    steps_[i] = std::floor(speed_[i] / change);
+    change_[i] = change < std::numeric_limits<double>::infinity() ? change : 0.0;
+    last_ = std::max(last_, steps_[i]);
+  }
+  last_ += 1.0;
+}
+
+void Path::way(double place, double* way) const {
+  for (int i = 0; i < size(); ++i) {
+    if (place <= 1.0) {
+      way[i] = sign_[i] * speed_[i] * (place * dt_);
+      continue;
+    }
+    const double steps = std::min(steps_[i], place - 1.0);
+    const double slowed = 0.5 * change_[i] * (steps * (steps + 1.0));
+    way[i] = sign_[i] * (((steps + 1.0) * speed_[i] - slowed) * dt_);
+  }
+}
+
+}  // namespace rmrc

@@ -1,0 +1,77 @@
+// The search for the share of a command that keeps all distances: Shortening.share of
+// rmrc.control.shorten.
+
+#include <algorithm>
+#include <cmath>
+
+#include "shorten.hpp"
+
+namespace rmrc {
+
+namespace {
+
+// rmrc.control.shorten: TOLERANCE, TRIALS, GUESSES, NEARER, LEAST_PART and CLOSE.
+constexpr double tolerance = 0.5e-6;
+constexpr int trials = 10;
+constexpr int guesses = 10;
+constexpr double nearer = 0.98;
+constexpr double least_part = 0.1;
+constexpr double close = 0.01;
+
+}  // namespace
+
+Share Shortening::share(const double* v, const double* brake, double dt) {
+  if (!watch(v, nullptr, dt)) return {0.0, false, false};
+  if (count_ == 0) return {1.0, false, true};
+  still_ = std::all_of(twist_, twist_ + 6 * mocaps_, [](double rate) { return rate == 0.0; });
+  move_obstacles(dt);
+  if (worst(0.0)) return {1.0, false, true};
+  if (!watch(v, brake, dt)) return {0.0, false, false};
+  double high = 1.0;
+  for (int trial = 0; trial < trials; ++trial) {
+    high = guess(v, brake, high, dt) * (1.0 - least_part * trial);
+    if (high == 0.0) break;
+    blend(v, brake, high, dt);
+    if (worst(0.0)) return {high, false, true};
+  }
+  // What the step before has left may be used up by rounding.
+  path_.set_out(brake, dt);
+  return {0.0, !worst(-tolerance), true};
+}
+
+// Return a share below `high` at which the worst entry of the last look has room again.
+double Shortening::guess(const double* v, const double* brake, double high, double dt) {
+  double low = 0.0, room_low = std::numeric_limits<double>::infinity();
+  double room_high = found_.least, share = 0.0;
+  for (int k = 0; k < guesses; ++k) {
+    blend(v, brake, share, dt);
+    path_.way(found_.place, command_.data());
+    put(command_.data());
+    const double room = found_.entry.barrier->distance(own_, found_.entry.id) - found_.entry.floor;
+    if (room < 0.0) {
+      high = share;
+      room_high = room;
+    } else {
+      low = share;
+      room_low = room;
+    }
+    if (high == 0.0 || high - low < close || (room_low <= tolerance && low != 0.0)) break;
+    const double part = nearer * room_low / (room_low - room_high);
+    share = low + (high - low) * std::min(std::max(part, least_part), 1.0 - least_part);
+  }
+  return low;
+}
+
+// Set out with a share of v from the brake on.
+void Shortening::blend(const double* v, const double* brake, double share, double dt) {
+  for (int i = 0; i < n_; ++i) command_[i] = brake[i] + share * (v[i] - brake[i]);
+  path_.set_out(command_.data(), dt);
+}
+
+const Kinematics& Shortening::end(const double* v, double dt) {
+  for (int i = 0; i < n_; ++i) command_[i] = v[i] * dt;
+  put(command_.data());
+  return own_;
+}
+
+}  // namespace rmrc
