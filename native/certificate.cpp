@@ -28,7 +28,7 @@ struct Slackness {
 }  // namespace
 
 Residuals certify(int n, const Program& program, const double* z, const double* y, double* v,
-                  double* residual) {
+                  double* residual, const double* gradient) {
   const Program& p = program;
   double primal = 0.0;
   Slackness slack;
@@ -37,8 +37,10 @@ Residuals certify(int n, const Program& program, const double* z, const double* 
     primal += (v[i] - inside) * (v[i] - inside);
     v[i] = inside;
   }
+  // Of a v that had to be moved into the box, no gradient is known.
+  const bool known = gradient != nullptr && primal == 0.0;
   for (int i = 0; i < n; ++i) {
-    residual[i] = dot(p.H + i * n, v, n) + p.g[i] + z[i];
+    residual[i] = (known ? gradient[i] : dot(p.H + i * n, v, n) + p.g[i]) + z[i];
     slack.add(z[i], v[i], p.lb[i], p.ub[i]);
   }
   for (int r = 0; r < p.rows; ++r) {

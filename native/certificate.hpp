@@ -13,8 +13,9 @@ struct Residuals {
 /// Clip v (n,) into the box, in place, and return its residuals as rmrc.qp.certificate does.
 ///
 /// z (n,) and y (rows,) are the multipliers of the bounds and the rows of a program without
-/// equalities; `residual` (n,) is overwritten with H v + g + z + Cᵀy.
+/// equalities; `residual` (n,) is overwritten with H v + g + z + Cᵀy. `gradient` is H v + g, if it is
+/// known of this v, which must then be that of H itself; it is not looked at where v is clipped.
 Residuals certify(int n, const Program& program, const double* z, const double* y, double* v,
-                  double* residual);
+                  double* residual, const double* gradient = nullptr);
 
 }  // namespace rmrc

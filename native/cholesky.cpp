@@ -3,10 +3,31 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <type_traits>
 
 #include "kernels.hpp"
 
 namespace rmrc {
+
+namespace {
+
+// Up to so many variables, an arm's, loops of known length take a third of the instructions.
+constexpr int most_small = 8;
+
+// Call an action with a size that is known to the compiler, if it is small.
+template <int size = most_small, class Action>
+bool with_small(int actual, Action action) {
+  if constexpr (size > 0) {
+    if (actual == size) {
+      action(std::integral_constant<int, size>());
+      return true;
+    }
+    return with_small<size - 1>(actual, action);
+  }
+  return false;
+}
+
+}  // namespace
 
 Cholesky::Cholesky(int capacity)
     : stride_((capacity + 3) / 4 * 4),
@@ -22,6 +43,7 @@ double Cholesky::inverse_root(double pivot, double diagonal) const {
 
 void Cholesky::factorize(const double* H, int stride, const int* index, int size) {
   size_ = size;
+  if (with_small(size, [&](auto known) { factorize_small<known()>(H, stride, index); })) return;
   const int padded = (size + 3) / 4 * 4;  // to whole tiles, with ones on the diagonal
   for (int j = 0; j < padded; ++j) {
     double* own = column(j);
@@ -43,6 +65,36 @@ void Cholesky::factorize(const double* H, int stride, const int* index, int size
         solve_tile(i, j);
       }
     }
+  }
+}
+
+template <int size>
+void Cholesky::factorize_small(const double* H, int stride, const int* index) {
+  double L[size][size], inverse[size];  // by columns
+#pragma GCC unroll 8
+  for (int j = 0; j < size; ++j) {
+    const double* row = H + index[j] * stride;
+#pragma GCC unroll 8
+    for (int i = j; i < size; ++i) L[j][i] = row[index[i]];
+  }
+#pragma GCC unroll 8
+  for (int j = 0; j < size; ++j) {
+    const double diagonal = L[j][j];
+#pragma GCC unroll 8
+    for (int k = 0; k < j; ++k) {
+#pragma GCC unroll 8
+      for (int i = j; i < size; ++i) L[j][i] -= L[k][j] * L[k][i];
+    }
+    diagonal_[j] = diagonal;
+    inverse[j] = inverse_root(L[j][j], diagonal);
+    L[j][j] = 1.0 / inverse[j];
+#pragma GCC unroll 8
+    for (int i = j + 1; i < size; ++i) L[j][i] *= inverse[j];
+  }
+#pragma GCC unroll 8
+  for (int j = 0; j < size; ++j) {
+    inverse_diagonal_[j] = inverse[j];
+    std::copy_n(L[j] + j, size - j, column(j) + j);
   }
 }
 
@@ -125,7 +177,32 @@ void Cholesky::remove(int position) {
   size_ = left;
 }
 
+template <int size>
+void Cholesky::forward_small(double* x) const {
+#pragma GCC unroll 8
+  for (int j = 0; j < size; ++j) {
+    const double* own = column(j);
+    const double taken = x[j] * inverse_diagonal_[j];
+    x[j] = taken;
+#pragma GCC unroll 8
+    for (int i = j + 1; i < size; ++i) x[i] -= taken * own[i];
+  }
+}
+
+template <int size>
+void Cholesky::backward_small(double* x) const {
+#pragma GCC unroll 8
+  for (int j = size - 1; j >= 0; --j) {
+    const double* own = column(j);
+    double value = x[j];
+#pragma GCC unroll 8
+    for (int i = j + 1; i < size; ++i) value -= own[i] * x[i];
+    x[j] = value * inverse_diagonal_[j];
+  }
+}
+
 void Cholesky::forward(double* x, int from) const {
+  if (with_small(size_, [&](auto known) { forward_small<known()>(x); })) return;
   int j = from / 4 * 4;
   for (; j + 4 <= size_; j += 4) {
     double taken[4];
@@ -143,6 +220,7 @@ void Cholesky::forward(double* x, int from) const {
 }
 
 void Cholesky::backward(double* x) const {
+  if (with_small(size_, [&](auto known) { backward_small<known()>(x); })) return;
   int j = size_ - 1;
   for (; j >= size_ / 4 * 4; --j) {
     const double known = dot(column(j) + j + 1, x + j + 1, size_ - j - 1);

@@ -36,6 +36,13 @@ class Cholesky {
   double* column(int j) { return factor_.data() + j * stride_; }
   const double* column(int j) const { return factor_.data() + j * stride_; }
 
+  template <int size>
+  void factorize_small(const double* H, int stride, const int* index);
+  template <int size>
+  void forward_small(double* x) const;
+  template <int size>
+  void backward_small(double* x) const;
+
   void subtract_products(int i, int j);
   void factorize_tile(int j);
   void solve_tile(int i, int j);

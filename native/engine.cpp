@@ -209,7 +209,9 @@ void Engine::add_terms() {
   add_joints();
   if (constants_.inertia > 0.0) add_inertia();
   for (int i = 0; i < n; ++i) {
-    for (int j = 0; j < i; ++j) H[j * n + i] = H[i * n + j];
+    const double* row = H + i * n;
+    double* column = H + i;
+    for (int j = 0; j < i; ++j, column += n) *column = row[j];
   }
 }
 
@@ -238,6 +240,7 @@ Ending Engine::attempt() {
   Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
                   nullptr,    nullptr,    nullptr,     0,           0};
   double* y = nullptr;
+  const double* gradient = nullptr;
   if (limits_ != nullptr) {
     const RowArrays& rows = limits_->arrays();
     program.C = rows.matrix;
@@ -250,6 +253,7 @@ Ending Engine::attempt() {
   if (in_time()) {
     ending = ending_of(limited_ ? solver_.solve(program, end_) : solver_.solve(program));
     iterations_ = solver_.iterations();
+    gradient = solver_.gradient();
     std::copy_n(solver_.v(), n, v_.begin());
     std::copy_n(solver_.bound_multiplier(), n, z_.begin());
     if (y != nullptr) std::copy_n(solver_.row_multiplier(), program.rows, y);
@@ -258,7 +262,7 @@ Ending Engine::attempt() {
     std::fill(z_.begin(), z_.end(), 0.0);
     if (y != nullptr) std::fill_n(y, program.rows, 0.0);
   }
-  residuals_ = certify(n, program, z_.data(), y, v_.data(), residual_.data());
+  residuals_ = certify(n, program, z_.data(), y, v_.data(), residual_.data(), gradient);
   // What ran out of time goes on from where it got to.
   warm_ = ending == Ending::solved || ending == Ending::time_limit;
   return ending;

@@ -51,11 +51,6 @@ void turn(const double* v, const double* q, double* out) {
 }
 
 void write_matrix(const double* q, double* out) {
-  if (is_unit(q)) {
-    std::fill_n(out, 9, 0.0);
-    out[0] = out[4] = out[8] = 1.0;
-    return;
-  }
   const double ww = q[0] * q[0], wx = q[0] * q[1], wy = q[0] * q[2], wz = q[0] * q[3];
   const double xx = q[1] * q[1], xy = q[1] * q[2], xz = q[1] * q[3];
   const double yy = q[2] * q[2], yz = q[2] * q[3], zz = q[3] * q[3];
@@ -70,6 +65,40 @@ void write_matrix(const double* q, double* out) {
   out[8] = (ww - yy) - (xx - zz);
 }
 
+// q ← q turned about one of its own axes, by the cosine and the sine of half the angle: the product
+// without its zeros.
+void turn_about(int along, double cosine, double sine, double* q) {
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
+  switch (along) {
+    case 0:
+      q[0] = w * cosine - x * sine;
+      q[1] = w * sine + x * cosine;
+      q[2] = y * cosine + z * sine;
+      q[3] = z * cosine - y * sine;
+      break;
+    case 1:
+      q[0] = w * cosine - y * sine;
+      q[1] = x * cosine - z * sine;
+      q[2] = w * sine + y * cosine;
+      q[3] = x * sine + z * cosine;
+      break;
+    default:
+      q[0] = w * cosine - z * sine;
+      q[1] = x * cosine + y * sine;
+      q[2] = y * cosine - x * sine;
+      q[3] = w * sine + z * cosine;
+      break;
+  }
+}
+
+// The one of the three axes that a vector is along, or −1.
+int one_of_three(const double* v) {
+  for (int k = 0; k < 3; ++k) {
+    if (std::abs(v[k]) == 1.0 && v[(k + 1) % 3] == 0.0 && v[(k + 2) % 3] == 0.0) return k;
+  }
+  return -1;
+}
+
 // out = R v + p
 void carry(const double* R, const double* v, const double* p, double* out) {
   for (int i = 0; i < 3; ++i) {
@@ -82,7 +111,17 @@ void carry(const double* R, const double* v, const double* p, double* out) {
 ForwardKinematics::ForwardKinematics(Placed placed, const PoseArrays& arrays, int nq)
     : placed_(std::move(placed)), a_(arrays), nq_(nq) {
   std::size_t most = 0;
-  for (const Body& body : placed_.bodies) most = std::max(most, body.joints.size());
+  for (Body& body : placed_.bodies) {
+    body.free = body.joints.size() == 1 && body.joints[0].kind == JointKind::free;
+    body.shifted = body.mocap >= 0 || !is_zero(body.position);
+    body.turned = body.mocap >= 0 || !is_unit(body.quaternion);
+    for (Joint& joint : body.joints) {
+      joint.centred = is_zero(joint.position);
+      joint.along = joint.kind == JointKind::hinge ? one_of_three(joint.axis) : -1;
+    }
+    if (!body.joints.empty()) body.joints.back().last = true;
+    most = std::max(most, body.joints.size());
+  }
   anchors_.resize(3 * most);
 }
 
@@ -103,28 +142,13 @@ void ForwardKinematics::update(const double* q) {
 
 void ForwardKinematics::place(const Body& body) {
   double *position = a_.xpos + 3 * body.id, *quaternion = a_.xquat + 4 * body.id;
-  if (body.joints.size() == 1 && body.joints[0].kind == JointKind::free) {
+  if (body.free) {
     const double* q = a_.qpos + body.joints[0].coordinate;
     std::copy_n(q, 3, position);
     std::copy_n(q, 3, anchors_.data());
     std::copy_n(q + 3, 4, quaternion);
-    normalize(quaternion);
   } else {
-    const double *offset = body.position, *turned = body.quaternion;
-    double own[4];
-    if (body.mocap >= 0) {
-      offset = a_.mocap_pos + 3 * body.mocap;
-      std::copy_n(a_.mocap_quat + 4 * body.mocap, 4, own);
-      normalize(own);
-      turned = own;
-    }
-    carry(a_.xmat + 9 * body.parent, offset, a_.xpos + 3 * body.parent, position);
-    const double* carried = a_.xquat + 4 * body.parent;
-    if (is_unit(turned)) {
-      std::copy_n(carried, 4, quaternion);
-    } else {
-      multiply(carried, turned, quaternion);
-    }
+    hang(body, position, quaternion);
     double* anchor = anchors_.data();
     for (const Joint& joint : body.joints) {
       move(joint, anchor, position, quaternion);
@@ -135,30 +159,64 @@ void ForwardKinematics::place(const Body& body) {
   write_matrix(quaternion, a_.xmat + 9 * body.id);
 }
 
-// Turn or shift a body by a joint, and write the joint's axis and where it passes through.
+// Put a body where it is in its parent before its joints move it.
+void ForwardKinematics::hang(const Body& body, double* position, double* quaternion) const {
+  const double *offset = body.position, *turned = body.quaternion;
+  const double *at = a_.xpos + 3 * body.parent, *carried = a_.xquat + 4 * body.parent;
+  double own[4];
+  if (body.mocap >= 0) {
+    offset = a_.mocap_pos + 3 * body.mocap;
+    std::copy_n(a_.mocap_quat + 4 * body.mocap, 4, own);
+    normalize(own);
+    turned = own;
+  }
+  if (body.shifted) {
+    carry(a_.xmat + 9 * body.parent, offset, at, position);
+  } else {
+    std::copy_n(at, 3, position);
+  }
+  if (body.turned) {
+    multiply(carried, turned, quaternion);
+  } else {
+    std::copy_n(carried, 4, quaternion);
+  }
+}
+
+// Turn or shift a body by a joint, and write where the joint passes through, and its axis; but for
+// an axis that is the body's own in the end.
 void ForwardKinematics::move(const Joint& joint, double* anchor, double* position,
                              double* quaternion) {
   const double* q = a_.qpos + joint.coordinate;
   double* axis = a_.cdof + 6 * joint.dof;
-  if (joint.kind != JointKind::ball) turn(joint.axis, quaternion, axis);
+  if (joint.kind != JointKind::ball && !(joint.along >= 0 && joint.last)) {
+    turn(joint.axis, quaternion, axis);
+  }
   if (joint.kind == JointKind::slide) {
     for (int i = 0; i < 3; ++i) position[i] += axis[i] * (*q - joint.zero);
     return;
   }
-  const bool centred = is_zero(joint.position);
-  turn(joint.position, quaternion, anchor);
-  for (int i = 0; i < 3; ++i) anchor[i] += position[i];
-  double turned[4];
+  if (joint.centred) {
+    std::copy_n(position, 3, anchor);
+  } else {
+    turn(joint.position, quaternion, anchor);
+    for (int i = 0; i < 3; ++i) anchor[i] += position[i];
+  }
   if (joint.kind == JointKind::ball) {
+    double turned[4];
     std::copy_n(q, 4, turned);
     normalize(turned);
+    multiply(quaternion, turned, quaternion);
   } else {
-    const double half = (*q - joint.zero) * 0.5, sine = std::sin(half);
-    turned[0] = std::cos(half);
-    for (int i = 0; i < 3; ++i) turned[1 + i] = joint.axis[i] * sine;
+    const double half = (*q - joint.zero) * 0.5, sine = std::sin(half), cosine = std::cos(half);
+    if (joint.along >= 0) {
+      turn_about(joint.along, cosine, joint.axis[joint.along] * sine, quaternion);
+    } else {
+      const double turned[4] = {cosine, joint.axis[0] * sine, joint.axis[1] * sine,
+                                joint.axis[2] * sine};
+      multiply(quaternion, turned, quaternion);
+    }
   }
-  multiply(quaternion, turned, quaternion);
-  if (centred) return;
+  if (joint.centred) return;
   turn(joint.position, quaternion, position);
   for (int i = 0; i < 3; ++i) position[i] = anchor[i] - position[i];
 }
@@ -176,6 +234,10 @@ void ForwardKinematics::write_axes(const Body& body) {
         std::fill_n(axes, 3, 0.0);
         continue;
       case JointKind::hinge:
+        if (joint.along >= 0 && joint.last) {
+          const double* column = a_.xmat + 9 * body.id + joint.along;
+          for (int i = 0; i < 3; ++i) axes[i] = joint.axis[joint.along] * column[3 * i];
+        }
         cross(axes, offset, axes + 3);
         continue;
       case JointKind::free:

@@ -13,6 +13,11 @@ struct Joint {
   int coordinate, dof;  // where it begins in q and in v
   double axis[3], position[3];  // in its body
   double zero;                  // the coordinate at which the body is where the model has it
+
+  // What the constructor of ForwardKinematics finds out.
+  bool centred = false;  // whether the position is 0
+  int along = -1;        // the one of the body's axes that a hinge turns about, if it is one
+  bool last = false;     // whether no other joint of the body comes behind
 };
 
 struct Body {
@@ -21,6 +26,9 @@ struct Body {
   int mocap;  // the number of the mocap body that this is, or −1
   double position[3], quaternion[4];  // in the parent
   std::vector<Joint> joints;
+
+  // What the constructor of ForwardKinematics finds out.
+  bool free = false, shifted = true, turned = true;  // turned or shifted from its parent
 };
 
 /// A geom or site, fixed to a body.
@@ -67,6 +75,7 @@ class ForwardKinematics {
 
  private:
   void place(const Body& body);
+  void hang(const Body& body, double* position, double* quaternion) const;
   void move(const Joint& joint, double* anchor, double* position, double* quaternion);
   void write_axes(const Body& body);
   void attach(const Attached& part, double* position, double* rotation) const;

@@ -82,7 +82,11 @@ Joint made(const JointArgument& argument, const PoseFields& fields) {
   constexpr int coordinates[] = {7, 4, 1, 1}, dofs[] = {6, 3, 1, 1};
   require(coordinate >= 0 && coordinate + coordinates[kind] <= fields.coordinates, "coordinate");
   require(dof >= 0 && dof + dofs[kind] <= fields.dofs, "dof");
-  Joint joint{static_cast<JointKind>(kind), coordinate, dof, {}, {}, zero};
+  Joint joint{};
+  joint.kind = static_cast<JointKind>(kind);
+  joint.coordinate = coordinate;
+  joint.dof = dof;
+  joint.zero = zero;
   std::copy(axis.begin(), axis.end(), joint.axis);
   std::copy(position.begin(), position.end(), joint.position);
   return joint;
@@ -92,7 +96,11 @@ Body made(const BodyArgument& argument, const PoseFields& fields) {
   const auto& [id, parent, root, mocap, position, quaternion, joints] = argument;
   require(within(id, fields.bodies) && within(parent, id) && within(root, fields.bodies), "body");
   require(mocap < fields.mocaps, "mocap body");
-  Body body{id, parent, root, mocap, {}, {}, {}};
+  Body body{};
+  body.id = id;
+  body.parent = parent;
+  body.root = root;
+  body.mocap = mocap;
   std::copy(position.begin(), position.end(), body.position);
   std::copy(quaternion.begin(), quaternion.end(), body.quaternion);
   for (const JointArgument& joint : joints) body.joints.push_back(made(joint, fields));

@@ -121,7 +121,8 @@ Status QPSolver::solve(const Program& program, Clock::time_point end) {
   }
   warm_ = status == Status::solved || status == Status::time_limit;
   if (!warm_) forget();
-  if (status != Status::solved) rest();
+  solved_ = status == Status::solved;
+  if (!solved_) rest();
   return status;
 }
 

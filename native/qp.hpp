@@ -79,6 +79,11 @@ class QPSolver {
   const double* row_multiplier() const { return row_multiplier_.data(); }
   const double* equality_multiplier() const { return row_multiplier_.data() + rows_; }
 
+  /// H v + g (n,) at that very v; null where rows are active, or where there is no solution.
+  const double* gradient() const {
+    return solved_ && active_count_ == 0 ? residual_.data() : nullptr;
+  }
+
   /// Changes of the active set in the last solve.
   int iterations() const { return iterations_; }
 
@@ -140,7 +145,7 @@ class QPSolver {
   const Program* program_ = nullptr;
   int rows_ = 0, equalities_ = 0;
   int iterations_ = 0;
-  bool warm_ = false;
+  bool warm_ = false, solved_ = false;
   Clock::time_point end_;
 
   // The working set: the free variables in the order of the factor, the bounds held, the rows held.

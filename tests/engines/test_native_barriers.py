@@ -80,6 +80,9 @@ class Twins:
         self.seen += python.rows.count > 0
         rare = python.relaxed or python.share < 1.0
         self.rare += rare
+        # Corrected for distances at its end, which of meshes jump with the last bit of v.
+        raised = np.abs(native.assembly.qp.lo - python.assembly.qp.lo).max(initial=0.0)
+        rare = rare or raised > SAME
         largest = max(float(np.abs(expected.v).max()), LEAST_RATE)
         tolerance = LADDER if rare else SAME * largest
         assert np.abs(solution.v - expected.v).max() <= tolerance
@@ -232,6 +235,7 @@ def test_python_and_the_extension_take_turns(tmp_path: Path) -> None:
                 )
                 assert least == pytest.approx(expected, abs=SAME)
         if k % 7 == 0:
+            native.evaluation.update(native.evaluation.data.qpos)
             Rows.update(native._rows, native.assembly.qp, native.assembly.rate, twins.problem.dt)
             assert_same_rows(twins.engine.rows, native._rows)
 
