@@ -12,7 +12,7 @@ namespace {
 
 // rmrc.problem.limits.distance: PARALLEL, ASIDE and AGAIN.
 constexpr double parallel = 1e-9;
-constexpr double aside = 1e-9;
+constexpr double aside = 1e-10;
 constexpr int again = 6;
 
 // The distance of a capsule whose axis passes through a box; none of any other. The overlap of a

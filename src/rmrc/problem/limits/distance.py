@@ -14,7 +14,7 @@ _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 # Directions nearer to parallel than this, a sine, have no common perpendicular worth using.
 PARALLEL = 1e-9
 
-ASIDE, AGAIN = 1e-9, 6
+ASIDE, AGAIN = 1e-10, 6
 """Distance in m by which a geom is moved to be measured again, and how often that is done."""
 
 
@@ -54,7 +54,7 @@ def _measured_again(
 ) -> float:
     """Return the distance of two geoms that MuJoCo says is exactly 0, from a hair's breadth aside.
 
-    MuJoCo before 4.0 says so of one in twenty boxes and meshes that are apart. Moved by 1e-9 m it
+    MuJoCo before 4.0 says so of one in twenty boxes and meshes that are apart. Moved by 1e-10 m it
     says so again of one in six, and never that they are further apart than they are.
     """
     d, place = 0.0, data.geom_xpos[pair[1]]
