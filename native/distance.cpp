@@ -10,7 +10,10 @@ namespace rmrc {
 
 namespace {
 
-constexpr double parallel = 1e-9;  // rmrc.problem.limits.distance.PARALLEL
+// rmrc.problem.limits.distance: PARALLEL, ASIDE and AGAIN.
+constexpr double parallel = 1e-9;
+constexpr double aside = 1e-10;
+constexpr int again = 6;
 
 // The distance of a capsule whose axis passes through a box; none of any other. The overlap of a
 // segment and a box is least along a normal of its faces, or across the segment and an edge.
@@ -74,7 +77,19 @@ double signed_distance(const MuJoCo& mujoco, const Kinematics& at, const GeomPai
   if (pair.doubtful) {
     if (const auto d = pierced_distance(at, pair, segment)) return *d;
   }
-  return mujoco.call.geom_distance(mujoco.model, at.data, pair.first, pair.second, most, segment);
+  const auto measure = [&] {
+    return mujoco.call.geom_distance(mujoco.model, at.data, pair.first, pair.second, most, segment);
+  };
+  double d = measure();
+  // MuJoCo before 4.0 says 0 of hulls that are apart.
+  for (int k = 0; k < again && d == 0.0; ++k) {
+    double& coordinate = at.geom_xpos[3 * pair.second + k % 3];
+    const double place = coordinate;
+    coordinate += k % 2 == 0 ? aside : -aside;
+    d = measure();
+    coordinate = place;
+  }
+  return d;
 }
 
 }  // namespace rmrc

@@ -34,7 +34,8 @@ struct Kinematics {
   void* data;
   double *qpos, *mocap_pos, *mocap_quat;
   const double *xpos, *xquat;           // of the bodies (nbody, 3) and (nbody, 4)
-  const double *geom_xpos, *geom_xmat;  // (ngeom, 3) and (ngeom, 9)
+  double* geom_xpos;                    // (ngeom, 3), which a distance moves to and fro
+  const double* geom_xmat;              // (ngeom, 9)
   const double* site_xpos;              // (nsite, 3)
   const double *cdof, *reference;       // (nv, 6), and the point of each root that they refer to
 };

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import rmrc
 from rmrc.problem.limits.collision import CollisionPairs
+from rmrc.problem.limits.distance import signed_distance
 
 Array = NDArray[np.float64]
 
@@ -81,5 +82,5 @@ class Distances:
         distance = np.full(len(pairs), LOOK)
         for k in near.tolist():
             a, b = pairs[k].tolist()
-            distance[k] = mujoco.mj_geomDistance(model, own, a, b, LOOK, None)
+            distance[k] = signed_distance(model, own, (a, b, False), LOOK, np.empty(6))
         return distance

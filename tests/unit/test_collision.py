@@ -335,7 +335,7 @@ def test_hulls_that_are_apart_are_never_called_touching() -> None:
         data = mujoco.MjData(model)
         for _ in range(40):
             place(data, rng, 0.05, 1.0)
-            d = mujoco.mj_geomDistance(model, data, 0, 1, 10.0, segment)
+            d = distance.signed_distance(model, data, (0, 1, False), 10.0, segment)
             assert d != 0.0
             width = gap(model, data, (segment[3:] - segment[:3]) / d)
             assert width == pytest.approx(d, abs=DISTANCE_TOLERANCE)

@@ -14,6 +14,9 @@ _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 # Directions nearer to parallel than this, a sine, have no common perpendicular worth using.
 PARALLEL = 1e-9
 
+ASIDE, AGAIN = 1e-10, 6
+"""Distance in m by which a geom is moved to be measured again, and how often that is done."""
+
 
 def is_capsule_and_box(model: mujoco.MjModel, a: int, b: int) -> bool:
     """Return whether two geoms, ordered by type, need `signed_distance` to look twice."""
@@ -42,7 +45,27 @@ def signed_distance(
         d = _pierced_distance(model, data, a, b, segment)
         if d is not None:
             return d
-    return mujoco.mj_geomDistance(model, data, a, b, most, segment)
+    d = mujoco.mj_geomDistance(model, data, a, b, most, segment)
+    return d if d != 0.0 else _measured_again(model, data, (a, b), most, segment)
+
+
+def _measured_again(
+    model: mujoco.MjModel, data: mujoco.MjData, pair: tuple[int, int], most: float, segment: Array
+) -> float:
+    """Return the distance of two geoms that MuJoCo says is exactly 0, from a hair's breadth aside.
+
+    MuJoCo before 4.0 says so of one in twenty boxes and meshes that are apart. Moved by 1e-10 m it
+    says so again of one in six, and never that they are further apart than they are.
+    """
+    d, place = 0.0, data.geom_xpos[pair[1]]
+    for k in range(AGAIN):
+        coordinate = place[k % 3]
+        place[k % 3] += -ASIDE if k % 2 else ASIDE
+        d = mujoco.mj_geomDistance(model, data, *pair, most, segment)
+        place[k % 3] = coordinate
+        if d != 0.0:
+            break
+    return d
 
 
 def _pierced_distance(
