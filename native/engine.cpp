@@ -76,7 +76,17 @@ void Engine::adapt(DampingRule rule, std::vector<TaskedRow> rows) {
 void Engine::limit(Rows& limits, Shortening* shortening) {
   limits_ = &limits;
   shortening_ = shortening;
-  solver_ = QPSolver(size(), limits.capacity(), 0, max_iterations_);
+  renew_solver();
+}
+
+void Engine::hold(std::unique_ptr<Equalities> equalities) {
+  equalities_ = std::move(equalities);
+  renew_solver();
+}
+
+void Engine::renew_solver() {
+  solver_ = QPSolver(size(), limits_ == nullptr ? 0 : limits_->capacity(),
+                     equalities_ == nullptr ? 0 : equalities_->capacity(), max_iterations_);
 }
 
 void Engine::forget() {
@@ -109,6 +119,7 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   }
   evaluate(q);
   assemble(dt);
+  if (equalities_ != nullptr) equalities_->update();
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
   const bool warm = warm_;
   Ending ending = attempt();
@@ -117,9 +128,10 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
     ending = attempt();
   }
   const bool limited = limits_ != nullptr && limits_->count() > 0;
-  finished_ = !limited || trusted(ending);
+  const bool box_alone = !limited && (equalities_ == nullptr || equalities_->count() == 0);
+  finished_ = box_alone || trusted(ending);
   if (finished_ && limited && shortening_ != nullptr) finished_ = shortening_->free(v_.data(), dt);
-  if (limited || trusted(ending)) return ending;
+  if (!box_alone || trusted(ending)) return ending;
   const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
   if (stopped && residuals_.primal <= certified) return ending;
   brake();
@@ -208,7 +220,7 @@ Ending Engine::attempt() {
   iterations_ = 0;
   Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
                   nullptr,    nullptr,    nullptr,     0,           0};
-  double* y = nullptr;
+  double *y = nullptr, *w = nullptr;
   if (limits_ != nullptr) {
     const RowArrays& rows = limits_->arrays();
     program.C = rows.matrix;
@@ -218,18 +230,27 @@ Ending Engine::attempt() {
     program.keys = limits_->keys();
     y = rows.multiplier;
   }
+  if (equalities_ != nullptr) {
+    const EqualityArrays& held = equalities_->arrays();
+    program.E = held.matrix;
+    program.f = held.right;
+    program.equalities = equalities_->count();
+    w = held.multiplier;
+  }
   if (in_time()) {
     ending = ending_of(limited_ ? solver_.solve(program, end_) : solver_.solve(program));
     iterations_ = solver_.iterations();
     std::copy_n(solver_.v(), n, v_.begin());
     std::copy_n(solver_.bound_multiplier(), n, z_.begin());
     if (y != nullptr) std::copy_n(solver_.row_multiplier(), program.rows, y);
+    if (w != nullptr) std::copy_n(solver_.equality_multiplier(), program.equalities, w);
   } else {
     std::fill(v_.begin(), v_.end(), 0.0);
     std::fill(z_.begin(), z_.end(), 0.0);
     if (y != nullptr) std::fill_n(y, program.rows, 0.0);
+    if (w != nullptr) std::fill_n(w, program.equalities, 0.0);
   }
-  residuals_ = certify(n, program, z_.data(), y, v_.data(), residual_.data());
+  residuals_ = certify(n, program, z_.data(), y, w, v_.data(), residual_.data());
   // What ran out of time goes on from where it got to.
   warm_ = ending == Ending::solved || ending == Ending::time_limit;
   return ending;

@@ -10,6 +10,7 @@
 #include "box.hpp"
 #include "certificate.hpp"
 #include "damping.hpp"
+#include "equalities.hpp"
 #include "memory.hpp"
 #include "mujoco.hpp"
 #include "qp.hpp"
@@ -48,8 +49,7 @@ const char* name_of(Ending ending);
 
 /// Solves one step after the other, each from the active set of the last.
 ///
-/// The specification is rmrc.control.engine.PythonEngine without equalities. All memory is taken
-/// before the first step.
+/// The specification is rmrc.control.engine.PythonEngine. All memory is taken before the first step.
 class Engine {
  public:
   Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& program,
@@ -67,6 +67,9 @@ class Engine {
 
   /// Have rows in the program, and commands checked where they lead: both must live as long.
   void limit(Rows& limits, Shortening* shortening);
+
+  /// Have what the hard tasks ask for in the program.
+  void hold(std::unique_ptr<Equalities> equalities);
 
   /// Run the kinematics at q (nq,) and evaluate the terms, but for those that others evaluate.
   void evaluate(const double* q);
@@ -102,12 +105,18 @@ class Engine {
   /// Whether a joint or a distance was outside its limit at the last step.
   bool outside() const { return outside_ || (limits_ != nullptr && limits_->passed()); }
 
+  /// Whether equalities of the last step contradict one another, and what is solved is a compromise.
+  bool relaxed() const { return equalities_ != nullptr && equalities_->inconsistent(); }
+
   /// Whether the last solution is all that there is to it: with rows what was not certified, and a
   /// command that may have to be shortened, are left to rmrc.control.engine.PythonEngine.
   bool finished() const { return finished_; }
 
   /// The rows of the last step; null if the problem has none.
   const Rows* limits() const { return limits_; }
+
+  /// The equalities of the last step; null if the problem has none.
+  const Equalities* equalities() const { return equalities_.get(); }
 
   /// Whether λ_a² of the last step was more than rounding.
   bool damped() const;
@@ -126,6 +135,7 @@ class Engine {
   Ending attempt();
   bool trusted(Ending ending) const;
   void brake();
+  void renew_solver();
 
   MuJoCo mujoco_;
   Stack stack_;
@@ -138,6 +148,7 @@ class Engine {
   std::optional<Damping> damping_;
   Rows* limits_ = nullptr;
   Shortening* shortening_ = nullptr;
+  std::unique_ptr<Equalities> equalities_;
   int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;

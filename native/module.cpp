@@ -116,6 +116,7 @@ NB_MODULE(_native, m) {
         return nb::make_tuple(solver.size(), solver.max_rows(), solver.max_equalities());
       }, "The number of variables, and the most rows and equalities.");
   rmrc::bind_engine(m);
+  rmrc::bind_levels(m);
   rmrc::bind_rows(m);
   rmrc::bind_stepper(m);
   rmrc::bind_batch(m);

@@ -203,9 +203,9 @@ class BoundStepper {
     const auto size = static_cast<std::size_t>(stepper_->size());
     std::unique_ptr<double[]> values(new double[size]);
     stepper_->write(values.get());
-    if (stepper_->engine().limits() != nullptr) {
+    if (stepper_->engine().limits() != nullptr || stepper_->engine().equalities() != nullptr) {
       nb::setattr(engine, share_, whole_);
-      nb::setattr(engine, relaxed_, nb::bool_(false));
+      nb::setattr(engine, relaxed_, nb::bool_(stepper_->engine().relaxed()));
       nb::setattr(engine, outside_, nb::bool_(stepper_->engine().outside()));
       nb::setattr(engine, behind_, nb::bool_(true));
     }

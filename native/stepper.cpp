@@ -15,6 +15,7 @@ enum : unsigned {
   limited = 1u << 1,
   damped = 1u << 3,
   recovering = 1u << 4,
+  relaxed = 1u << 5,
   stuck = 1u << 6,
   max_iter = 1u << 7,
   deadline = 1u << 8
@@ -112,8 +113,10 @@ void Stepper::keep(Memory& memory) {
 
 int Stepper::size() const {
   const Rows* rows = engine_.limits();
-  return rows == nullptr ? size_
-                         : size_ + static_cast<int>(rows->blocks().size()) + 4 * rows->count();
+  const Equalities* held = engine_.equalities();
+  const int count = held == nullptr ? size_ : size_ + held->count();
+  return rows == nullptr ? count
+                         : count + static_cast<int>(rows->blocks().size()) + 4 * rows->count();
 }
 
 void Stepper::write(double* out) const {
@@ -127,13 +130,16 @@ void Stepper::write(double* out) const {
   out = std::copy_n(engine_.bound_multiplier(), engine_.size(), out);
   for (const KeptArray& array : kept_) out = std::copy_n(array.values, array.size, out);
   out = std::copy_n(moving_.values, moving_.size, out);
-  if (engine_.limits() == nullptr) return;
-  const Rows& rows = *engine_.limits();
-  for (const Block& block : rows.blocks()) *out++ = block.count;
-  out = std::copy_n(rows.arrays().ids, rows.count(), out);
-  for (const double* values :
-       {rows.arrays().lower, rows.arrays().upper, rows.arrays().multiplier}) {
-    out = std::copy_n(values, rows.count(), out);
+  if (const Rows* rows = engine_.limits()) {
+    for (const Block& block : rows->blocks()) *out++ = block.count;
+    out = std::copy_n(rows->arrays().ids, rows->count(), out);
+    for (const double* values :
+         {rows->arrays().lower, rows->arrays().upper, rows->arrays().multiplier}) {
+      out = std::copy_n(values, rows->count(), out);
+    }
+  }
+  if (const Equalities* held = engine_.equalities()) {
+    std::copy_n(held->arrays().multiplier, held->count(), out);
   }
 }
 
@@ -146,6 +152,7 @@ unsigned Stepper::flags(Ending ending) const {
   }
   if (!engine_.in_time()) found |= deadline;
   if (engine_.outside()) found |= recovering;
+  if (engine_.relaxed()) found |= relaxed;
   if (engine_.damped()) found |= damped;
   if (progress_.stuck()) found |= stuck;
   double square = 0.0;
