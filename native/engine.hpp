@@ -11,6 +11,7 @@
 #include "certificate.hpp"
 #include "damping.hpp"
 #include "equalities.hpp"
+#include "levels.hpp"
 #include "memory.hpp"
 #include "mujoco.hpp"
 #include "qp.hpp"
@@ -71,6 +72,9 @@ class Engine {
   /// Have what the hard tasks ask for in the program.
   void hold(std::unique_ptr<Equalities> equalities);
 
+  /// Solve levels one after another, in place of one program; after all terms, rows and hard tasks.
+  void descend(std::vector<LevelTasks> levels, LastMetric metric);
+
   /// Run the kinematics at q (nq,) and evaluate the terms, but for those that others evaluate.
   void evaluate(const double* q);
 
@@ -108,6 +112,12 @@ class Engine {
   /// Whether equalities of the last step contradict one another, and what is solved is a compromise.
   bool relaxed() const { return equalities_ != nullptr && equalities_->inconsistent(); }
 
+  /// Whether a task that preserves its direction ran slower than asked at the last step.
+  bool scaled() const;
+
+  /// Whether the levels are solved one after another.
+  bool cascaded() const { return cascade_ != nullptr; }
+
   /// Whether the last solution is all that there is to it: with rows what was not certified, and a
   /// command that may have to be shortened, are left to rmrc.control.engine.PythonEngine.
   bool finished() const { return finished_; }
@@ -133,6 +143,8 @@ class Engine {
   void add_joints();
   void add_inertia();
   Ending attempt();
+  Program program() const;
+  Ending solve_levels();
   bool trusted(Ending ending) const;
   void brake();
   void renew_solver();
@@ -149,6 +161,8 @@ class Engine {
   Rows* limits_ = nullptr;
   Shortening* shortening_ = nullptr;
   std::unique_ptr<Equalities> equalities_;
+  std::unique_ptr<Levels> levels_;
+  std::unique_ptr<Cascade> cascade_;
   int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;

@@ -50,6 +50,40 @@ void hold(nb::handle engine, const std::vector<HardArgument>& tasks, const std::
   native.hold(std::move(equalities));
 }
 
+// Of each level: the place of each term with rows and those that keep their direction; the place and
+// the root of each term on the joints.
+using LevelArgument = std::tuple<std::vector<std::tuple<int, std::vector<int>>>,
+                                 std::vector<std::tuple<int, Numbers>>>;
+
+void descend(nb::handle engine, const std::vector<LevelArgument>& levels, Numbers metric,
+             double inertia) {
+  Engine& native = engine_of(engine);
+  const auto& terms = native.row_terms();
+  const auto n = static_cast<std::size_t>(native.size());
+  const auto nv = static_cast<std::size_t>(native.mujoco().nv);
+  if (metric.size() != n * n) throw std::invalid_argument("the metric has a wrong size");
+  std::vector<LevelTasks> made;
+  for (const auto& [parts, joints] : levels) {
+    LevelTasks& level = made.emplace_back();
+    for (const auto& [term, directed] : parts) {
+      if (term < 0 || term >= static_cast<int>(terms.size())) {
+        throw std::invalid_argument("a level's task is none of the engine's");
+      }
+      for (const int row : directed) {
+        if (row < 0 || row >= terms[term]->data().rows) {
+          throw std::invalid_argument("there is no such row");
+        }
+      }
+      level.parts.push_back({term, directed});
+    }
+    for (const auto& [first, root] : joints) {
+      if (root.size() % nv != 0) throw std::invalid_argument("a root has a wrong size");
+      level.joints.push_back({first, root});
+    }
+  }
+  native.descend(std::move(made), {std::move(metric), inertia});
+}
+
 }  // namespace
 
 void bind_levels(nb::module_& m) {
@@ -60,6 +94,10 @@ void bind_levels(nb::module_& m) {
     const Engine& native = engine_of(engine);
     return native.equalities() == nullptr ? 0 : native.equalities()->count();
   }, "engine"_a, "Return the number of equalities of the last step.");
+  m.def("descend", &descend, "engine"_a, "levels"_a, "metric"_a, "inertia"_a,
+        "Have levels solved one after another, in place of one program.");
+  m.def("scaled", [](nb::handle engine) { return engine_of(engine).scaled(); }, "engine"_a,
+        "Return whether a task that preserves its direction ran slower than asked.");
   m.def("relaxed", [](nb::handle engine) { return engine_of(engine).relaxed(); }, "engine"_a,
         "Return whether equalities of the last step contradict one another.");
 }

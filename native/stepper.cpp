@@ -13,6 +13,7 @@ namespace {
 // rmrc.control.step.Status
 enum : unsigned {
   limited = 1u << 1,
+  scaled = 1u << 2,
   damped = 1u << 3,
   recovering = 1u << 4,
   relaxed = 1u << 5,
@@ -153,6 +154,7 @@ unsigned Stepper::flags(Ending ending) const {
   if (!engine_.in_time()) found |= deadline;
   if (engine_.outside()) found |= recovering;
   if (engine_.relaxed()) found |= relaxed;
+  if (engine_.scaled()) found |= scaled;
   if (engine_.damped()) found |= damped;
   if (progress_.stuck()) found |= stuck;
   double square = 0.0;

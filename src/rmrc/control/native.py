@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rmrc import _native
 from rmrc.control.engine import PythonEngine
-from rmrc.control.native_levels import HeldRows, LoopParts, has_evaluator, hold
+from rmrc.control.native_levels import HeldRows, LoopParts, descend, has_evaluator, hold
 from rmrc.control.native_rows import NativeRows, NativeShortening
 from rmrc.control.native_steps import Layout, Stepper, build_stepper
 from rmrc.errors import SolverError
@@ -186,10 +186,12 @@ class NativeEngine(PythonEngine):
         ]
         foreign = self._foreign or problem.mink_tasks or problem.mink_limits
         hard = any(term.hard for term in evaluation.terms)
-        self._alone = not (foreign or problem.cascaded)
+        self._alone = not foreign
         self._held = hold(self._native, problem, evaluation) if hard else None
         if not self._box_alone:
             self._connect()
+        if problem.cascaded:
+            descend(self._native, problem, evaluation, assembly)
         self.layout = Layout(self)
         """Where the numbers of a step stand in what the extension has noted of it."""
 
@@ -355,6 +357,10 @@ class NativeEngine(PythonEngine):
             self.relaxed, self.share = _native.relaxed(self._native), 1.0
         kkt = KKT(*kkt)
         solution = Solution(both[0], both[1], y, w, iterations, SolveStatus(status), kkt)
+        if self._cascade is not None:
+            self.scaled = _native.scaled(self._native)
+            if not (done or self._trusted(solution)):  # to be attempted with more room
+                solution = self._best()
         return solution if done else self._finished(solution, dt)
 
     def _catch_up(self) -> tuple[Array, Array]:

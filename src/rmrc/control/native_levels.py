@@ -1,4 +1,4 @@
-"""Hard tasks and `loop` tasks in C++: what the extension needs to know of them."""
+"""Hard tasks, `loop` tasks and levels in C++: what the extension needs to know of them."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -14,6 +14,7 @@ from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.loop import ROWS, TORQUE_SCALE, LoopTerm
 from rmrc.problem.tasks.pointing import PointingTerm
+from rmrc.qp.assemble import Assembly, square_root
 from rmrc.qp.equalities import weighed_directions
 
 Array = NDArray[np.float64]
@@ -148,3 +149,25 @@ def hold(native: _native.Engine, problem: Problem, evaluation: Evaluation) -> He
     still = (problem.box.velocity == 0.0).tolist()
     _native.hold(native, tasks, still, *rows)
     return rows
+
+
+def descend(
+    native: _native.Engine, problem: Problem, evaluation: Evaluation, made: Assembly
+) -> None:
+    """Hand the levels over to the extension."""
+    places = {t.name: k for k, t in enumerate(t for t in evaluation.terms if not t.joint)}
+    levels = []
+    for terms in made.leveled_terms:
+        parts, joints = [], []
+        for term in terms:
+            if term.joint:
+                root = square_root(made.leveled(term))
+                root = np.diag(root) if root.ndim == 1 else root
+                root = root[np.any(root != 0.0, axis=1)]
+                joints.append((evaluation.rows_of([term]).start, root.ravel().tolist()))
+            else:
+                directed = np.flatnonzero(term.diagonal > 0.0).tolist() if term.preserve else []
+                parts.append((places[term.name], directed))
+        levels.append((parts, joints))
+    metric = made.unit * problem.metric[np.ix_(problem.dofs, problem.dofs)]
+    _native.descend(native, levels, metric.ravel().tolist(), made.unit * problem.inertia)
