@@ -39,6 +39,9 @@ void bind_kinematics(nanobind::module_& m);
 /// Add the rows, and what checks a command where it leads.
 void bind_rows(nanobind::module_& m);
 
+/// Add what the hard tasks and the levels of an engine are handed over by.
+void bind_levels(nanobind::module_& m);
+
 /// Add what takes a controller's steps.
 void bind_stepper(nanobind::module_& m);
 

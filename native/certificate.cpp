@@ -27,8 +27,8 @@ struct Slackness {
 
 }  // namespace
 
-Residuals certify(int n, const Program& program, const double* z, const double* y, double* v,
-                  double* residual, const double* gradient) {
+Residuals certify(int n, const Program& program, const double* z, const double* y, const double* w,
+                  double* v, double* residual, const double* gradient) {
   const Program& p = program;
   double primal = 0.0;
   Slackness slack;
@@ -50,6 +50,12 @@ Residuals certify(int n, const Program& program, const double* z, const double* 
     primal += (activity - inside) * (activity - inside);
     slack.add(y[r], inside, p.lo[r], p.hi[r]);
     if (y[r] != 0.0) add_scaled(y[r], row, residual, n);
+  }
+  for (int r = 0; r < p.equalities; ++r) {
+    const double* row = p.E + static_cast<long>(r) * n;
+    const double misfit = dot(row, v, n) - p.f[r];
+    primal += misfit * misfit;
+    add_scaled(w[r], row, residual, n);
   }
   const double dual = dot(residual, residual, n) + slack.stray;
   if (!std::isfinite(primal + dual + slack.sum)) {

@@ -1,4 +1,4 @@
-// The residuals of the optimality conditions, of a solution inside a box.
+// The residuals of the optimality conditions, of a solution.
 #pragma once
 
 #include "qp.hpp"
@@ -12,10 +12,10 @@ struct Residuals {
 
 /// Clip v (n,) into the box, in place, and return its residuals as rmrc.qp.certificate does.
 ///
-/// z (n,) and y (rows,) are the multipliers of the bounds and the rows of a program without
-/// equalities; `residual` (n,) is overwritten with H v + g + z + Cᵀy. `gradient` is H v + g, if it is
-/// known of this v, which must then be that of H itself; it is not looked at where v is clipped.
-Residuals certify(int n, const Program& program, const double* z, const double* y, double* v,
-                  double* residual, const double* gradient = nullptr);
+/// z (n,), y (rows,) and w (equalities,) are the multipliers of the bounds, the rows and the
+/// equalities; `residual` (n,) is overwritten with H v + g + z + Cᵀy + Eᵀw. `gradient` is H v + g, if
+/// it is known of this v, which must then be that of H itself; it is not looked at where v is clipped.
+Residuals certify(int n, const Program& program, const double* z, const double* y, const double* w,
+                  double* v, double* residual, const double* gradient = nullptr);
 
 }  // namespace rmrc

@@ -13,6 +13,7 @@ namespace {
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double certified = 1e-6;  // rmrc.control.engine.CERTIFIED
 constexpr double raised = 1e-6;     // rmrc.qp.damping.RAISED
+constexpr double whole = 1e-6;      // rmrc.qp.cascade.WHOLE
 
 Ending ending_of(Status status) {
   switch (status) {
@@ -79,17 +80,40 @@ void Engine::limit(Rows& limits, Shortening* shortening) {
   correction_.emplace(limits);
   for (auto* values : {&whole_, &brake_, &shortened_, &first_z_}) values->resize(v_.size());
   first_y_.resize(limits.capacity());
-  solver_ = QPSolver(size(), limits.capacity(), 0, max_iterations_);
+  renew_solver();
+}
+
+void Engine::hold(std::unique_ptr<Equalities> equalities) {
+  equalities_ = std::move(equalities);
+  first_w_.resize(equalities_->capacity());
+  renew_solver();
+}
+
+void Engine::descend(std::vector<LevelTasks> levels, LastMetric metric) {
+  levels_ = std::make_unique<Levels>(std::move(levels), std::move(metric), constants_.dofs,
+                                     mujoco_.nv, rows_);
+  cascade_ = std::make_unique<Cascade>(
+      size(), levels_->sizes(), limits_ == nullptr ? 0 : limits_->capacity(),
+      equalities_ == nullptr ? 0 : equalities_->capacity(), max_iterations_);
+}
+
+bool Engine::scaled() const { return cascade_ != nullptr && cascade_->scale() < 1.0 - whole; }
+
+void Engine::renew_solver() {
+  solver_ = QPSolver(size(), limits_ == nullptr ? 0 : limits_->capacity(),
+                     equalities_ == nullptr ? 0 : equalities_->capacity(), max_iterations_);
 }
 
 void Engine::forget() {
   warm_ = false;
   solver_.forget();
+  if (cascade_ != nullptr) cascade_->forget();
 }
 
 void Engine::keep(Memory& memory) {
   memory(warm_);
   solver_.keep(memory);
+  if (cascade_ != nullptr) cascade_->keep(memory);
 }
 
 void Engine::rest_targets() {
@@ -113,18 +137,21 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   place(q);
   evaluate_terms();
   assemble(dt);
+  if (equalities_ != nullptr) equalities_->update();
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
-  const bool warm = warm_;
-  Ending ending = attempt();
+  const bool warm = warm_ && cascade_ == nullptr;
+  Ending ending = best();
   if (warm && !trusted(ending) && in_time()) {
     forget();
     ending = attempt();
   }
   const bool limited = limits_ != nullptr && limits_->count() > 0;
-  finished_ = !limited || trusted(ending);
+  const bool box_alone = !limited && cascade_ == nullptr &&
+                         (equalities_ == nullptr || equalities_->count() == 0);
+  finished_ = box_alone || trusted(ending);
   if (finished_ && limited && shortening_ != nullptr) finished_ = at_distance(dt);
   if (!finished_) place_all(q);  // Python goes on, and may look at anything
-  if (limited || trusted(ending)) return ending;
+  if (!box_alone || trusted(ending)) return ending;
   const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
   if (stopped && residuals_.primal <= certified) return ending;
   brake(v_.data());
@@ -232,15 +259,10 @@ void Engine::add_inertia() {
   }
 }
 
-// Solve the program as it stands, and certify the answer.
-Ending Engine::attempt() {
-  const int n = size();
-  Ending ending = Ending::time_limit;
-  iterations_ = 0;
+// The program as it stands.
+Program Engine::program() const {
   Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
                   nullptr,    nullptr,    nullptr,     0,           0};
-  double* y = nullptr;
-  const double* gradient = nullptr;
   if (limits_ != nullptr) {
     const RowArrays& rows = limits_->arrays();
     program.C = rows.matrix;
@@ -248,8 +270,52 @@ Ending Engine::attempt() {
     program.hi = rows.upper;
     program.rows = limits_->count();
     program.keys = limits_->keys();
-    y = rows.multiplier;
   }
+  if (equalities_ != nullptr) {
+    const EqualityArrays& held = equalities_->arrays();
+    program.E = held.matrix;
+    program.f = held.right;
+    program.equalities = equalities_->count();
+  }
+  return program;
+}
+
+Ending Engine::best() { return cascade_ == nullptr ? attempt() : solve_levels(); }
+
+// Solve the levels as they stand; the multipliers of equalities stay 0.
+Ending Engine::solve_levels() {
+  const Program limits = program();
+  const double square = constants_.floor + *program_.added_damping;
+  const std::vector<Level>& levels = levels_->gather(rows_, stack_, program_.rate,
+                                                     program_.inertia, constants_.unit * square);
+  const bool solved =
+      in_time() && cascade_->solve(levels, limits, limited_ ? end_ : Clock::time_point::max());
+  if (!solved) {
+    residuals_ = {infinity, infinity, infinity};
+    return in_time() ? Ending::failed : Ending::time_limit;
+  }
+  iterations_ = cascade_->iterations();
+  residuals_ = cascade_->residuals();
+  std::copy_n(cascade_->v(), size(), v_.begin());
+  std::copy_n(cascade_->bound_multiplier(), size(), z_.begin());
+  if (limits_ != nullptr) {
+    std::copy_n(cascade_->row_multiplier(), limits.rows, limits_->arrays().multiplier);
+  }
+  if (equalities_ != nullptr) {
+    std::fill_n(equalities_->arrays().multiplier, limits.equalities, 0.0);
+  }
+  return Ending::solved;
+}
+
+// Solve the program as it stands, and certify the answer.
+Ending Engine::attempt() {
+  const int n = size();
+  Ending ending = Ending::time_limit;
+  iterations_ = 0;
+  const Program program = this->program();
+  const double* gradient = nullptr;
+  double* y = limits_ == nullptr ? nullptr : limits_->arrays().multiplier;
+  double* w = equalities_ == nullptr ? nullptr : equalities_->arrays().multiplier;
   if (in_time()) {
     ending = ending_of(limited_ ? solver_.solve(program, end_) : solver_.solve(program));
     iterations_ = solver_.iterations();
@@ -257,12 +323,14 @@ Ending Engine::attempt() {
     std::copy_n(solver_.v(), n, v_.begin());
     std::copy_n(solver_.bound_multiplier(), n, z_.begin());
     if (y != nullptr) std::copy_n(solver_.row_multiplier(), program.rows, y);
+    if (w != nullptr) std::copy_n(solver_.equality_multiplier(), program.equalities, w);
   } else {
     std::fill(v_.begin(), v_.end(), 0.0);
     std::fill(z_.begin(), z_.end(), 0.0);
     if (y != nullptr) std::fill_n(y, program.rows, 0.0);
+    if (w != nullptr) std::fill_n(w, program.equalities, 0.0);
   }
-  residuals_ = certify(n, program, z_.data(), y, v_.data(), residual_.data(), gradient);
+  residuals_ = certify(n, program, z_.data(), y, w, v_.data(), residual_.data(), gradient);
   // What ran out of time goes on from where it got to.
   warm_ = ending == Ending::solved || ending == Ending::time_limit;
   return ending;

@@ -11,8 +11,10 @@
 #include "certificate.hpp"
 #include "correction.hpp"
 #include "damping.hpp"
-#include "memory.hpp"
+#include "equalities.hpp"
 #include "kinematics.hpp"
+#include "levels.hpp"
+#include "memory.hpp"
 #include "mujoco.hpp"
 #include "qp.hpp"
 #include "rows.hpp"
@@ -50,8 +52,7 @@ const char* name_of(Ending ending);
 
 /// Solves one step after the other, each from the active set of the last.
 ///
-/// The specification is rmrc.control.engine.PythonEngine without equalities. All memory is taken
-/// before the first step.
+/// The specification is rmrc.control.engine.PythonEngine. All memory is taken before the first step.
 class Engine {
  public:
   Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& program,
@@ -73,6 +74,12 @@ class Engine {
   /// Place what a step looks at by these in place of MuJoCo's, where nothing else is to be known:
   /// they must live as long.
   void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
+
+  /// Have what the hard tasks ask for in the program.
+  void hold(std::unique_ptr<Equalities> equalities);
+
+  /// Solve levels one after another, in place of one program; after all terms, rows and hard tasks.
+  void descend(std::vector<LevelTasks> levels, LastMetric metric);
 
   /// Run the kinematics of the whole model at q (nq,) and evaluate the terms, but for those that
   /// others evaluate.
@@ -109,6 +116,12 @@ class Engine {
   /// Whether a joint or a distance was outside its limit at the last step.
   bool outside() const { return outside_ || (limits_ != nullptr && limits_->passed()); }
 
+  /// Whether a task that preserves its direction ran slower than asked at the last step.
+  bool scaled() const;
+
+  /// Whether the levels are solved one after another.
+  bool cascaded() const { return cascade_ != nullptr; }
+
   /// Whether the last solution is all that there is to it: with rows what was not certified, and a
   /// command with too much to look at, are left to rmrc.control.engine.PythonEngine.
   bool finished() const { return finished_; }
@@ -122,14 +135,20 @@ class Engine {
   /// What the check where it leads has left of the last command, from the brake on.
   double share() const { return share_; }
 
-  /// Whether a distance falls below its limit even so, or a frame is faster than it may be.
-  bool relaxed() const { return relaxed_; }
+  /// Whether equalities contradict one another, and what is solved is a compromise; or a distance
+  /// falls below its limit even so, or a shortened command misses what is no distance.
+  bool relaxed() const {
+    return relaxed_ || (equalities_ != nullptr && equalities_->inconsistent());
+  }
 
   /// The lo that the last step was solved again with; null if it was not.
   const double* raised_lower() const { return corrected_ ? correction_->lower() : nullptr; }
 
   /// The rows of the last step; null if the problem has none.
   const Rows* limits() const { return limits_; }
+
+  /// The equalities of the last step; null if the problem has none.
+  const Equalities* equalities() const { return equalities_.get(); }
 
   /// Whether λ_a² of the last step was more than rounding.
   bool damped() const;
@@ -149,11 +168,15 @@ class Engine {
   void add_joints();
   void add_inertia();
   Ending attempt();
+  Program program() const;
+  Ending best();
+  Ending solve_levels();
   bool trusted(Ending ending) const;
+  void renew_solver();
   void brake(double* v) const;
   bool at_distance(double dt);
   bool keep_distances(double dt);
-  bool misses_speeds() const;
+  bool misses() const;
 
   // What becomes of a program that is solved, but for the vectors.
   struct Outcome {
@@ -178,7 +201,10 @@ class Engine {
   std::optional<Correction> correction_;
   bool corrected_ = false, relaxed_ = false;
   double share_ = 1.0;
-  std::vector<double> whole_, brake_, shortened_, first_z_, first_y_;
+  std::vector<double> whole_, brake_, shortened_, first_z_, first_y_, first_w_;
+  std::unique_ptr<Equalities> equalities_;
+  std::unique_ptr<Levels> levels_;
+  std::unique_ptr<Cascade> cascade_;
   int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;

@@ -31,11 +31,17 @@ bool Engine::at_distance(double dt) {
   shortened_ = v_;
   first_z_ = z_;
   std::copy_n(y, limits_->count(), first_y_.begin());
+  if (equalities_ != nullptr) {
+    std::copy_n(equalities_->arrays().multiplier, equalities_->count(), first_w_.begin());
+  }
   relaxed_ = false;
-  if (trusted(attempt()) && keep_distances(dt) && share_ > first.share + gained) return true;
+  if (trusted(best()) && keep_distances(dt) && share_ > first.share + gained) return true;
   v_ = shortened_;
   z_ = first_z_;
   std::copy_n(first_y_.begin(), limits_->count(), y);
+  if (equalities_ != nullptr) {
+    std::copy_n(first_w_.begin(), equalities_->count(), equalities_->arrays().multiplier);
+  }
   residuals_ = first.residuals;
   iterations_ = first.iterations;
   share_ = first.share;
@@ -53,13 +59,20 @@ bool Engine::keep_distances(double dt) {
   relaxed_ |= found.passed;
   if (share_ == 1.0) return true;
   for (int i = 0; i < size(); ++i) v_[i] = brake_[i] + share_ * (v_[i] - brake_[i]);
-  relaxed_ |= misses_speeds();
+  relaxed_ |= misses();
   return true;
 }
 
-// Whether a shortened command is faster than a frame may be: of a speed its norm counts, not the
-// box inside it that the rows are.
-bool Engine::misses_speeds() const {
+// Whether a shortened command misses equalities, or is faster than a frame may be: of a speed its
+// norm counts, not the box inside it that the rows are.
+bool Engine::misses() const {
+  if (equalities_ != nullptr) {
+    const EqualityArrays& held = equalities_->arrays();
+    for (int r = 0; r < equalities_->count(); ++r) {
+      const double* row = held.matrix + static_cast<long>(r) * size();
+      if (std::abs(dot(row, v_.data(), size()) - held.right[r]) > certified) return true;
+    }
+  }
   const RowArrays& rows = limits_->arrays();
   double worst = 0.0;
   for (int first = 0; first < limits_->speed_count(); first += 3) {

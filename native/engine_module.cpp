@@ -20,6 +20,7 @@
 
 #include "bindings.hpp"
 #include "engine.hpp"
+#include "loop.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -48,6 +49,19 @@ struct FrameArgument {
 };
 
 // The engine, and the arrays of Python's that it points into.
+using AnchorageArgument = std::tuple<FrameArgument, Reading, Numbers, Numbers>;
+using PairArgument = std::tuple<int, bool, double, AnchorageArgument, AnchorageArgument>;
+using SumArgument = std::tuple<std::vector<std::tuple<int, int, double>>, double>;
+using PolynomialArgument = std::tuple<int, SumArgument, SumArgument, Numbers>;
+
+Combination combination_of(const SumArgument& argument) {
+  Combination combination{{}, std::get<1>(argument)};
+  for (const auto& [coordinate, dof, coefficient] : std::get<0>(argument)) {
+    combination.parts.push_back({coordinate, dof, coefficient});
+  }
+  return combination;
+}
+
 class BoundEngine {
  public:
   BoundEngine(const std::vector<std::uintptr_t>& functions, std::uintptr_t model,
@@ -165,6 +179,21 @@ class BoundEngine {
     add<Coupling>(rows, 1, by_coordinate, by_dof, offset);
   }
 
+  void add_loop(const RowsArgument& rows, const std::vector<PairArgument>& pairs,
+                const std::vector<PolynomialArgument>& polynomials) {
+    std::vector<BodyPair> made;
+    for (const auto& [first, welded, torque_scale, one, other] : pairs) {
+      made.push_back({first, welded, torque_scale, {kept(one), kept(other)}});
+    }
+    std::vector<Polynomial> lines;
+    for (const auto& [first, y, x, coefficients] : polynomials) {
+      require(coefficients, 5, "a polynomial");
+      lines.push_back({first, combination_of(y), combination_of(x), {}});
+      std::copy_n(coefficients.begin(), 5, lines.back().coefficients);
+    }
+    add<Loop>(rows, rows.data.rows, std::move(made), std::move(lines));
+  }
+
   void add_foreign(const RowsArgument& rows) { add<ForeignRows>(rows, rows.data.rows); }
 
   void add_joint_task(const RowsArgument& rows, const std::string& kind) {
@@ -227,6 +256,18 @@ class BoundEngine {
     kept_.append(nb::cast(argument.rotation));
     kept_.append(nb::cast(argument.reference));
     return argument.frame;
+  }
+
+  Anchorage kept(const AnchorageArgument& argument) {
+    const auto& [frame, quaternion, point, turn] = argument;
+    require(quaternion, 4, "quaternion");
+    require(point, 3, "point");
+    require(turn, 4, "turn");
+    kept_.append(nb::cast(quaternion));
+    Anchorage anchorage{kept(frame), quaternion.data(), {}, {}};
+    std::copy_n(point.begin(), 3, anchorage.point);
+    std::copy_n(turn.begin(), 4, anchorage.turn);
+    return anchorage;
   }
 
   struct Kept {
@@ -316,6 +357,7 @@ void bind_engine(nb::module_& m) {
       .def("add_com", &BoundEngine::add_com, "rows"_a, "moved"_a, "parts"_a)
       .def("add_coupling", &BoundEngine::add_coupling, "rows"_a, "by_coordinate"_a, "by_dof"_a,
            "offset"_a)
+      .def("add_loop", &BoundEngine::add_loop, "rows"_a, "pairs"_a, "polynomials"_a)
       .def("add_foreign", &BoundEngine::add_foreign, "rows"_a)
       .def("add_joint_task", &BoundEngine::add_joint_task, "rows"_a, "kind"_a)
       .def("adapt", &BoundEngine::adapt, "rule"_a, "threshold"_a, "largest"_a, "rank"_a, "scale"_a,

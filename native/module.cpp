@@ -117,6 +117,7 @@ NB_MODULE(_native, m) {
       }, "The number of variables, and the most rows and equalities.");
   rmrc::bind_kinematics(m);
   rmrc::bind_engine(m);
+  rmrc::bind_levels(m);
   rmrc::bind_rows(m);
   rmrc::bind_stepper(m);
   rmrc::bind_batch(m);

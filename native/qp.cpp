@@ -97,7 +97,14 @@ void QPSolver::forget() {
   std::fill(row_side_.begin(), row_side_.end(), Side::none);
 }
 
+void QPSolver::resize(int size) {
+  if (size == size_) return;
+  size_ = size;
+  forget();
+}
+
 void QPSolver::keep(Memory& memory) {
+  memory(size_);
   memory(warm_);
   memory(rows_);
   memory(equalities_);

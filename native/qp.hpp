@@ -62,6 +62,9 @@ class QPSolver {
   /// but for one that had no time: it goes on from where this one got to.
   Status solve(const Program& program, Clock::time_point end = Clock::time_point::max());
 
+  /// Go on with programs of another size, up to that of the constructor; the next solve is cold.
+  void resize(int size);
+
   /// Forget the active set: the next solve starts cold.
   void forget();
 

@@ -199,13 +199,15 @@ class BoundStepper {
     const auto size = static_cast<std::size_t>(stepper_->size());
     std::unique_ptr<double[]> values(new double[size]);
     stepper_->write(values.get());
-    if (stepper_->engine().limits() != nullptr) {
-      const double share = stepper_->engine().share();
+    const Engine& native = stepper_->engine();
+    if (native.limits() != nullptr || native.equalities() != nullptr) {
+      const double share = native.share();
       nb::setattr(engine, share_, share == 1.0 ? whole_ : nb::float_(share));
-      nb::setattr(engine, relaxed_, nb::bool_(stepper_->engine().relaxed()));
+      nb::setattr(engine, relaxed_, nb::bool_(native.relaxed()));
       nb::setattr(engine, outside_, nb::bool_(stepper_->engine().outside()));
       nb::setattr(engine, behind_, nb::bool_(true));
     }
+    if (native.cascaded()) nb::setattr(engine, scaled_, nb::bool_(native.scaled()));
     nb::object record = nb::inst_alloc(record_);
     new (nb::inst_ptr<Record>(record)) Record{std::move(values), static_cast<Py_ssize_t>(size),
                                               summary, nb::borrow(engine), arrays_};
@@ -230,6 +232,7 @@ class BoundStepper {
   nb::str flag_bits_ = interned("flag_bits"), source_ = interned("_source");
   nb::str share_ = interned("share"), relaxed_ = interned("relaxed");
   nb::str outside_ = interned("outside"), behind_ = interned("behind");
+  nb::str scaled_ = interned("scaled");
   nb::float_ whole_{1.0};
   std::vector<nb::object> kept_;
   double dt_;

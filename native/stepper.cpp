@@ -13,6 +13,7 @@ namespace {
 // rmrc.control.step.Status
 enum : unsigned {
   limited = 1u << 1,
+  scaled = 1u << 2,
   damped = 1u << 3,
   recovering = 1u << 4,
   relaxed = 1u << 5,
@@ -116,8 +117,10 @@ void Stepper::keep(Memory& memory) {
 
 int Stepper::size() const {
   const Rows* rows = engine_.limits();
-  return rows == nullptr ? size_
-                         : size_ + static_cast<int>(rows->blocks().size()) + 4 * rows->count();
+  const Equalities* held = engine_.equalities();
+  const int count = held == nullptr ? size_ : size_ + held->count();
+  return rows == nullptr ? count
+                         : count + static_cast<int>(rows->blocks().size()) + 4 * rows->count();
 }
 
 void Stepper::write(double* out) const {
@@ -134,13 +137,16 @@ void Stepper::write(double* out) const {
   out = std::copy_n(engine_.bound_multiplier(), engine_.size(), out);
   for (const KeptArray& array : kept_) out = std::copy_n(array.values, array.size, out);
   out = std::copy_n(moving_.values, moving_.size, out);
-  if (engine_.limits() == nullptr) return;
-  const Rows& rows = *engine_.limits();
-  for (const Block& block : rows.blocks()) *out++ = block.count;
-  out = std::copy_n(rows.arrays().ids, rows.count(), out);
-  for (const double* values :
-       {rows.arrays().lower, rows.arrays().upper, rows.arrays().multiplier}) {
-    out = std::copy_n(values, rows.count(), out);
+  if (const Rows* rows = engine_.limits()) {
+    for (const Block& block : rows->blocks()) *out++ = block.count;
+    out = std::copy_n(rows->arrays().ids, rows->count(), out);
+    for (const double* values :
+         {rows->arrays().lower, rows->arrays().upper, rows->arrays().multiplier}) {
+      out = std::copy_n(values, rows->count(), out);
+    }
+  }
+  if (const Equalities* held = engine_.equalities()) {
+    std::copy_n(held->arrays().multiplier, held->count(), out);
   }
 }
 
@@ -153,6 +159,8 @@ unsigned Stepper::flags(Ending ending) const {
   }
   if (!engine_.in_time()) found |= deadline;
   if (engine_.outside()) found |= recovering;
+  if (engine_.relaxed()) found |= relaxed;
+  if (engine_.scaled()) found |= scaled;
   if (engine_.damped()) found |= damped;
   if (progress_.stuck()) found |= stuck;
   double square = 0.0;

@@ -54,7 +54,7 @@ class Stepper {
 
   /// Doubles that the last step is written to: residuals (3), dt, the share, v, the configuration v leads to,
   /// the one it starts from, v_previous, z, the arrays kept, and 1 for each target that moves; then
-  /// the number of rows of each barrier, and the ids, lo, hi and y of all rows.
+  /// the number of rows of each barrier, and the ids, lo, hi and y of all rows; then w.
   int size() const;
 
   /// Write the last step.

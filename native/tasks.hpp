@@ -58,6 +58,9 @@ class RowTerm {
   /// H ← H + WᵀW, its lower triangle, and g ← g − Wᵀ S ẋ, of a program of n variables.
   void add_to(double* H, double* g, int n, const double* rate);
 
+  /// Return element r of S x, for x (rows,).
+  double weighed(int r, const double* x) const;
+
   /// Copy row r of W (n,) into a row of zeros.
   void copy_row(int r, double* row) const;
 
@@ -98,7 +101,6 @@ class RowTerm {
  private:
   template <int rows>
   void add_rows(double* H, double* g, int n, int first) const;
-  double weighed(int r, const double* x) const;
 
   std::vector<double> root_;
   bool counts_;               // whether anything has a weight

@@ -53,6 +53,9 @@ class Frame:
         self, position: Array, rotation: Array, reference: Array, dofs: list[int]
     ) -> None: ...
 
+_Anchorage = tuple[Frame, Array, list[float], list[float]]
+_Combination = tuple[list[tuple[int, int, float]], float]
+
 class Engine:
     """The whole step, in the arrays that it is given."""
 
@@ -106,6 +109,12 @@ class Engine:
     def add_coupling(
         self, rows: TermRows, by_coordinate: list[float], by_dof: list[float], offset: float
     ) -> None: ...
+    def add_loop(
+        self,
+        rows: TermRows,
+        pairs: list[tuple[int, bool, float, _Anchorage, _Anchorage]],
+        polynomials: list[tuple[int, _Combination, _Combination, list[float]]],
+    ) -> None: ...
     def add_foreign(self, rows: TermRows) -> None: ...
     def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
     def adapt(
@@ -139,6 +148,22 @@ class ForwardKinematics:
         masses: Sequence[tuple[Any, ...]],
     ) -> None: ...
     def update(self, q: Array) -> None: ...
+def hold(
+    engine: Engine,
+    tasks: list[tuple[int, int, list[float], bool, list[float]]],
+    still: list[bool],
+    matrix: Array,
+    right: Array,
+    multiplier: Array,
+) -> None: ...
+def equalities(engine: Engine) -> int: ...
+def descend(
+    engine: Engine,
+    levels: list[tuple[list[tuple[int, list[int]]], list[tuple[int, list[float]]]]],
+    metric: list[float],
+    inertia: float,
+) -> None: ...
+def scaled(engine: Engine) -> bool: ...
 
 class Kinematics:
     """Where the arrays of an mjData stand."""

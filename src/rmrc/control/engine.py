@@ -16,7 +16,7 @@ from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
 from rmrc.qp.cascade import WHOLE, Cascade
 from rmrc.qp.certificate import Certificate
-from rmrc.qp.equalities import Equalities
+from rmrc.qp.equalities import Held
 from rmrc.qp.program import QP, Solution, SolveStatus
 from rmrc.qp.relax import INCONSISTENT, least_violation
 from rmrc.qp.rows import Rows
@@ -174,7 +174,7 @@ class PythonEngine:
         self._take_rows(equalities)
         return outside or self._rows.passed
 
-    def _take_rows(self, equalities: Equalities | None = None) -> None:
+    def _take_rows(self, equalities: Held | None = None) -> None:
         """Write the rows, and equalities if there are any, into the program."""
         assembly, rows = self._assembly, self._rows
         count = 0 if equalities is None else equalities.right.size

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rmrc import _native
 from rmrc.control import native_kinematics
 from rmrc.control.engine import PythonEngine
+from rmrc.control.native_levels import HeldRows, LoopParts, descend, has_evaluator, hold
 from rmrc.control.native_rows import NativeRows, NativeShortening
 from rmrc.control.native_steps import Layout, Stepper, build_stepper
 from rmrc.errors import SolverError
@@ -27,6 +28,7 @@ from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.coupling import CouplingTerm
 from rmrc.problem.tasks.frame import FARTHEST, FrameTerm
 from rmrc.problem.tasks.look_at import LookAtTerm
+from rmrc.problem.tasks.loop import LoopTerm
 from rmrc.problem.tasks.posture import PostureTerm
 from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
 from rmrc.problem.tasks.smooth import SmoothTerm
@@ -175,21 +177,25 @@ class NativeEngine(PythonEngine):
             ub=qp.ub,
             max_iter=problem.config.solver.max_iter or MOST_CHANGES,
         )
+        rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
         watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
         self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
         for term in evaluation.terms:
-            self._add(term)
+            self._add(term, rows)
         self._adapt()
         self._foreign = [
             evaluate
             for kind, evaluate in evaluation.evaluators.items()
-            if kind not in _JOINT and not issubclass(kind, _ROWS)
+            if kind not in _JOINT and not issubclass(kind, rows)
         ]
         foreign = self._foreign or problem.mink_tasks or problem.mink_limits
         hard = any(term.hard for term in evaluation.terms)
-        self._alone = not (foreign or hard or problem.cascaded)
+        self._alone = not foreign
+        self._held = hold(self._native, problem, evaluation) if hard else None
         if not self._box_alone:
             self._connect()
+        if problem.cascaded:
+            descend(self._native, problem, evaluation, assembly)
         self.layout = Layout(self)
         """Where the numbers of a step stand in what the extension has noted of it."""
 
@@ -205,10 +211,11 @@ class NativeEngine(PythonEngine):
         rows.connect(self._native, self._assembly.rate, self._cdof)
         if shortening is not None:
             shortening.connect(rows, self.evaluation.obstacle_twist)
-        self._native.limit(rows.native, None if shortening is None else shortening.native)
+        if rows.any:
+            self._native.limit(rows.native, None if shortening is None else shortening.native)
 
-    def _add(self, term: Term) -> None:
-        """Hand a term to the extension."""
+    def _add(self, term: Term, kinds: tuple[type[Term], ...]) -> None:
+        """Hand a term to the extension, which evaluates those with rows that are of these kinds."""
         native, weight = self._native, self._assembly.leveled(term)
         if term.joint:
             native.add_joint_task(self._rows_of(term, weight), _JOINT.get(type(term), "foreign"))
@@ -231,6 +238,9 @@ class NativeEngine(PythonEngine):
             case CouplingTerm():
                 by_coordinate, by_dof = term.by_coordinate.tolist(), term.by_dof.tolist()
                 native.add_coupling(rows, by_coordinate, by_dof, term.offset)
+            case LoopTerm() if LoopTerm in kinds:
+                parts = LoopParts(self.problem.model, self.evaluation.data, self._moves, term)
+                native.add_loop(rows, parts.pairs, parts.polynomials)
             case _:
                 native.add_foreign(rows)
 
@@ -348,22 +358,29 @@ class NativeEngine(PythonEngine):
         status, iterations, *kkt, self.outside, share, relaxed, done = self._native.solve(
             q, dt, seconds, both
         )
-        y = _NONE
+        y = w = _NONE
         if not self._box_alone:
-            y = self._catch_up()
+            y, w = self._catch_up()
             self.relaxed, self.share = relaxed, share
         kkt = KKT(*kkt)
-        solution = Solution(both[0], both[1], y, _NONE, iterations, SolveStatus(status), kkt)
+        solution = Solution(both[0], both[1], y, w, iterations, SolveStatus(status), kkt)
+        if self._cascade is not None:
+            self.scaled = _native.scaled(self._native)
+            if not (done or self._trusted(solution)):  # to be attempted with more room
+                solution = self._best()
         return solution if done else self._finished(solution, dt)
 
-    def _catch_up(self) -> Array:
-        """Have the rows of the last step where Python looks for them; return their multipliers."""
+    def _catch_up(self) -> tuple[Array, Array]:
+        """Have the rows and equalities of the last step where Python looks; return y and w."""
         self.behind = False
-        multiplier, raised = self._rows.read(), self._native.raised
-        self._take_rows()
+        held, y, raised = None, self._rows.read(), self._native.raised
+        if self._held is not None:
+            count = slice(_native.equalities(self._native))
+            held = HeldRows(*(array[count].copy() for array in self._held))
+        self._take_rows(held)
         if raised is not None:
             self._assembly.qp.lo[:] = raised
-        return multiplier
+        return y, _NONE if held is None else held.multiplier
 
     @property
     def assembly(self) -> Assembly:

@@ -19,6 +19,7 @@ from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.frame import FrameTerm
 from rmrc.problem.tasks.look_at import LookAtTerm
+from rmrc.problem.tasks.loop import LoopTerm
 from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
 from rmrc.qp.rows import Rows
 
@@ -40,6 +41,7 @@ ARRAYS = (
 )
 """What the extension reads and writes of an mjData."""
 
+_OF_BODIES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 _SAME = mujoco.mjtSameFrame
 _SAME_ROTATION = (_SAME.mjSAMEFRAME_BODY, _SAME.mjSAMEFRAME_BODYROT)
 
@@ -57,7 +59,7 @@ class Watched:
         """Look at a frame."""
         {"body": self.bodies, "geom": self.geoms, "site": self.sites}[frame.kind].add(frame.id)
 
-    def add_term(self, term: Term) -> None:
+    def add_term(self, model: mujoco.MjModel, term: Term) -> None:
         """Look at what the extension reads to evaluate a term."""
         match term:
             case FrameTerm() | LookAtTerm() | AxisAlignTerm():
@@ -67,6 +69,12 @@ class Watched:
                 self.add_frame(term.root)
             case ComTerm():
                 self.subtrees.update(root for root, _ in term.shares)
+            case LoopTerm():
+                for i in term.equalities:
+                    if mujoco.mjtEq(int(model.eq_type[i])) in _OF_BODIES:
+                        ends = np.array([model.eq_obj1id[i], model.eq_obj2id[i]])
+                        of_sites = model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE)
+                        self.bodies.update((model.site_bodyid[ends] if of_sites else ends).tolist())
             case _:
                 pass
 
@@ -88,7 +96,7 @@ def of_step(problem: Problem, terms: Iterable[Term], rows: Rows) -> Watched:
     """Return what a step looks at where it is."""
     watched = Watched()
     for term in terms:
-        watched.add_term(term)
+        watched.add_term(problem.model, term)
     for speed in rows.speeds:
         watched.add_frame(speed.limit.frame)
     for barrier in rows.barriers:

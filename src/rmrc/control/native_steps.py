@@ -64,20 +64,22 @@ class Layout:
         place, shape = self._parts[name]
         return np.frombuffer(memoryview(record))[place].reshape(shape).copy()
 
-    def rows(self, record: _native.Record) -> tuple[KeptRows | None, Array]:
-        """Return the rows of a step, if it had any, and their multipliers."""
+    def rows(self, record: _native.Record) -> tuple[KeptRows | None, Array, Array]:
+        """Return the rows of a step, if it had any, and the multipliers of rows and equalities."""
         rows, barriers = self._rows, self._rows.barriers
         numbers = np.frombuffer(memoryview(record))[self._end :].copy()
         counts = numbers[: len(barriers)].astype(int).tolist()
-        if not numbers.size > len(barriers):
-            return None, _NONE
-        ids, lower, upper, multiplier = numbers[len(barriers) :].reshape(4, -1)
+        count = rows.speed_count + sum(counts)
+        end = len(barriers) + 4 * count
+        if not count:
+            return None, _NONE, numbers[end:]
+        ids, lower, upper, multiplier = numbers[len(barriers) : end].reshape(4, -1)
         blocks, first = [], rows.speed_count
         for barrier, count in zip(barriers, counts, strict=True):
             part = slice(first, first + count)
             blocks.append((barrier, ids[part].astype(np.intp), part))
             first += count
-        return KeptRows(rows.speeds, blocks, lower, upper), multiplier
+        return KeptRows(rows.speeds, blocks, lower, upper), multiplier, numbers[end:]
 
     def surroundings(self, record: _native.Record) -> Kept:
         """Return the error of a step, and what it depended on beside q and v_prev."""
@@ -101,8 +103,9 @@ class Record(_native.Record):
         """What the solver returned, with its certificate."""
         part = self.engine.layout.part
         v, z, kkt = self.v[self.engine.problem.dofs], part(self, "z"), part(self, "kkt")
-        status, y = SolveStatus(self.ending), self.engine.layout.rows(self)[1]
-        return Solution(v, z, y, _NONE, self.iterations, status, KKT(*kkt.tolist()))
+        status = SolveStatus(self.ending)
+        _, y, w = self.engine.layout.rows(self)
+        return Solution(v, z, y, w, self.iterations, status, KKT(*kkt.tolist()))
 
     @cached_property
     def moment(self) -> Moment:

@@ -82,10 +82,11 @@ class Assembly:
         """A + λ₀²I + Σ B of the joint terms (n, n), what no configuration changes."""
         self.adaptive = Damping(problem, evaluation, self._weigh, self.unit)
         soft = [term for term in evaluation.terms if not term.hard]
-        self._leveled_terms = [
+        self.leveled_terms = [
             [term for term in soft if term.level == level]
             for level in sorted({term.level for term in soft})
         ]
+        """The terms of each level, the highest first."""
         hard = len(soft) < len(evaluation.terms)
         self._equalities = Equalities(problem, evaluation) if hard else None
         self.inertia = np.empty((problem.model.nv, problem.model.nv))
@@ -248,7 +249,7 @@ class Assembly:
         metric = metric + damping if metric.any() else np.eye(n)
         weighted, wanted = self._weigh(), -self._weigh_rate()
         return [
-            *(self._level(level, weighted, wanted, damping) for level in self._leveled_terms),
+            *(self._level(level, weighted, wanted, damping) for level in self.leveled_terms),
             Level(np.zeros((0, n)), np.zeros(0), metric),
         ]
 

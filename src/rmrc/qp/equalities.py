@@ -1,6 +1,7 @@
 """The equalities E v = f of a step: what the hard tasks ask for, in independent rows."""
 
 import math
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,20 @@ def weighed_directions(weight: Array) -> Array:
         return np.eye(weight.size)[weight > 0.0]
     values, vectors = np.linalg.eigh(weight)
     return np.ascontiguousarray(vectors[:, values > SPAN * max(values[-1], 0.0)].T)
+
+
+class Held(Protocol):
+    """E v = f, wherever it was found."""
+
+    @property
+    def matrix(self) -> Array:
+        """E (r, n)."""
+        ...
+
+    @property
+    def right(self) -> Array:
+        """f (r,)."""
+        ...
 
 
 class Equalities:

@@ -1,0 +1,101 @@
+// Strict priorities and preserved directions: rmrc.qp.cascade.
+#pragma once
+
+#include <limits>
+#include <vector>
+
+#include "certificate.hpp"
+#include "memory.hpp"
+#include "null_space.hpp"
+#include "qp.hpp"
+#include "row_reduction.hpp"
+
+namespace rmrc {
+
+/// What one level of priority asks of v (n,).
+struct Level {
+  int rows;
+  const double* matrix;  // W = S J (rows, n)
+  const double* rate;    // S ẋ (rows,)
+  const double* metric;  // added to WᵀW (n, n), or null for a multiple of the unit matrix
+  double damping;        // that multiple
+  int directed;
+  const double* jacobian;   // J (directed, n) of the tasks that move along ẋ
+  const double* direction;  // ẋ (directed,) of theirs
+};
+
+/// The most that the levels of a problem have.
+struct LevelSizes {
+  int levels, rows, directed;
+};
+
+/// Solves levels one after another, each in the null space of those above, inside all limits.
+///
+/// It solves what needs no second attempt: a level's program that is not certified to
+/// rmrc.qp.cascade.POLISHED, or a rank that is not clear, ends the solve. All memory is taken by
+/// the constructor.
+class Cascade {
+ public:
+  Cascade(int size, const LevelSizes& sizes, int max_rows, int max_equalities, int max_iterations);
+
+  /// Find the lexicographic optimum inside the limits of a program, whose cost is not read; return
+  /// whether all levels have been solved before the clock says `end`.
+  bool solve(const std::vector<Level>& levels, const Program& limits,
+             QPSolver::Clock::time_point end);
+
+  /// Start the next solve cold.
+  void forget();
+
+  /// Go through what the next solve starts from.
+  void keep(Memory& memory);
+
+  const double* v() const { return v_.data(); }
+
+  /// The multipliers of bounds and rows, summed over the levels.
+  const double* bound_multiplier() const { return z_.data(); }
+  const double* row_multiplier() const { return y_.data(); }
+
+  /// The largest of the levels, and by how much v passes rows or misses equalities.
+  const Residuals& residuals() const { return residuals_; }
+  int iterations() const { return iterations_; }
+
+  /// α, the least of all preserved directions.
+  double scale() const { return scale_; }
+
+ private:
+  bool enter();
+  bool fastest(const Level& level, QPSolver& solver);
+  bool nearest(const Level& level, QPSolver& solver);
+  void bound(int variables);
+  bool certified(QPSolver& solver, int variables, int equalities);
+  void advance();
+  bool keep_free(int rows);
+
+  void reduce(const double* x, double* out) const;
+  double passed() const;
+  Program program(int equalities) const;
+
+  int size_;
+  std::vector<QPSolver> solvers_;  // to enter, then two of each level: fastest, nearest
+  NullSpace null_space_;
+  RowReduction reduction_;
+  const Program* limits_ = nullptr;
+  QPSolver::Clock::time_point end_;
+
+  std::vector<double> v_, z_, y_;
+  int free_count_ = 0;
+  bool whole_ = true;              // whether all is free, and the basis the unit matrix
+  std::vector<double> free_;       // the basis N by columns (n, n)
+  std::vector<double> next_;       // that of the level below
+  std::vector<double> norm_;       // of the limits' rows in N
+  Residuals residuals_{};
+  int iterations_ = 0;
+  double scale_ = 1.0;
+
+  // A level's program over z, and over α behind it.
+  std::vector<double> H_, g_, lb_, ub_, C_, lo_, hi_, E_, f_;
+  std::vector<double> step_, residual_;
+  std::vector<double> reach_, missing_;
+};
+
+}  // namespace rmrc

@@ -1,0 +1,65 @@
+// What the levels of a problem ask for at the present evaluation: rmrc.qp.assemble.Assembly.levels.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "cascade.hpp"
+#include "tasks.hpp"
+
+namespace rmrc {
+
+/// The tasks of one level.
+struct LevelTasks {
+  /// A term by its place among those with rows; of one that moves along its ẋ, the rows that weigh.
+  struct Part {
+    int term;
+    std::vector<int> directed;
+  };
+
+  /// A term on the joints themselves: S (rows, nv), of the rows that are not zero.
+  struct JointPart {
+    int first;
+    std::vector<double> root;
+  };
+
+  std::vector<Part> parts;
+  std::vector<JointPart> joints;
+};
+
+/// What picks among equal motions: A in the program's unit, and its share of M(q).
+struct LastMetric {
+  std::vector<double> constant;  // (n, n)
+  double inertia;
+};
+
+/// Gathers the levels, the highest first; last comes A, or the least norm.
+class Levels {
+ public:
+  Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int> dofs, int nv,
+         const std::vector<std::unique_ptr<RowTerm>>& terms);
+
+  /// Gather them for ẋ of all terms, M(q) (nv, nv), and λ² in the program's unit.
+  const std::vector<Level>& gather(const std::vector<std::unique_ptr<RowTerm>>& terms,
+                                   const Stack& stack, const double* rate, const double* inertia,
+                                   double damping);
+
+  const LevelSizes& sizes() const { return sizes_; }
+
+ private:
+  void gather(const LevelTasks& tasks, const std::vector<std::unique_ptr<RowTerm>>& terms,
+              const Stack& stack, const double* rate, Level& level);
+  void write_metric(const double* inertia, double damping);
+
+  std::vector<LevelTasks> tasks_;
+  LastMetric metric_;
+  std::vector<int> dofs_;
+  int nv_;
+  LevelSizes sizes_{};
+  std::vector<double> matrix_, rate_;         // W and S ẋ of all levels
+  std::vector<double> jacobian_, direction_;  // J and ẋ of what keeps its direction
+  std::vector<double> last_;                  // the metric of the last level (n, n)
+  std::vector<Level> levels_;
+};
+
+}  // namespace rmrc

@@ -1,0 +1,173 @@
+"""Hard tasks, `loop` tasks and levels in C++: what the extension needs to know of them."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc import _native
+from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.frames import FrameHandle
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.loop import ROWS, TORQUE_SCALE, LoopTerm
+from rmrc.problem.tasks.pointing import PointingTerm
+from rmrc.qp.assemble import Assembly, square_root
+from rmrc.qp.equalities import weighed_directions
+
+Array = NDArray[np.float64]
+
+_CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+_TENDON = mujoco.mjtEq.mjEQ_TENDON
+_SITE = mujoco.mjtObj.mjOBJ_SITE
+_UNTURNED = [1.0, 0.0, 0.0, 0.0]
+
+Anchorage = tuple[_native.Frame, Array, list[float], list[float]]
+"""A body's frame and quaternion, and a point and a rotation in its coordinates."""
+Pair = tuple[int, bool, float, Anchorage, Anchorage]
+"""The first row of a connect or a weld, whether it is a weld, its torque scale, and its ends."""
+Combination = tuple[list[tuple[int, int, float]], float]
+"""Coordinates, dofs and coefficients of a sum, and what it counts from."""
+Polynomial = tuple[int, Combination, Combination, list[float]]
+"""The row of y − p(x), with y, x and the coefficients of p."""
+
+
+def has_evaluator(model: mujoco.MjModel, terms: Iterable[Term]) -> bool:
+    """Return whether C++ can evaluate all `loop` terms: not where a tendon has a path in space."""
+    for term in terms:
+        if not isinstance(term, LoopTerm):
+            continue
+        for i in term.equalities:
+            tendons = [t for t in (model.eq_obj1id[i], model.eq_obj2id[i]) if t >= 0]
+            if _kind(model, i) == _TENDON and not all(_is_fixed(model, t) for t in tendons):
+                return False
+    return True
+
+
+def _kind(model: mujoco.MjModel, equality: int) -> mujoco.mjtEq:
+    return mujoco.mjtEq(int(model.eq_type[equality]))
+
+
+def _wraps(model: mujoco.MjModel, tendon: int) -> range:
+    first = model.tendon_adr[tendon]
+    return range(first, first + model.tendon_num[tendon])
+
+
+def _is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
+    kinds = model.wrap_type[_wraps(model, tendon)]
+    return bool((kinds == mujoco.mjtWrap.mjWRAP_JOINT).all())
+
+
+class LoopParts:
+    """The constraints of a `loop` term, as the extension takes them."""
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, moves: NDArray[np.bool_], term: LoopTerm
+    ):
+        self._model, self._data, self._moves = model, data, moves
+        self.pairs: list[Pair] = []
+        """Connects and welds."""
+        self.polynomials: list[Polynomial] = []
+        """Joints and tendons."""
+        first = 0
+        for i in term.equalities:
+            if _kind(model, i) in (_CONNECT, _WELD):
+                self.pairs.append(self._pair(i, first))
+            else:
+                y, x = (self._combination(i, j) for j in (model.eq_obj1id[i], model.eq_obj2id[i]))
+                self.polynomials.append((first, y, x, model.eq_data[i, :5].tolist()))
+            first += ROWS[_kind(model, i)]
+
+    def _pair(self, i: int, first: int) -> Pair:
+        model, numbers = self._model, self._model.eq_data[i]
+        welded = _kind(model, i) == _WELD
+        ids = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        scale = float(numbers[TORQUE_SCALE]) if welded else 1.0
+        if mujoco.mjtObj(int(model.eq_objtype[i])) == _SITE:
+            one, other = (
+                self._anchorage(model.site_bodyid[s], model.site_pos[s], model.site_quat[s])
+                for s in ids
+            )
+        elif welded:  # its anchor is the second body's, and the pose of that one in the first's
+            one = self._anchorage(ids[0], numbers[3:6], numbers[6:10])
+            other = self._anchorage(ids[1], numbers[:3], _UNTURNED)
+        else:
+            one = self._anchorage(ids[0], numbers[:3], _UNTURNED)
+            other = self._anchorage(ids[1], numbers[3:6], _UNTURNED)
+        return first, welded, scale, one, other
+
+    def _anchorage(self, body: int, point: Array, turn: Array | list[float]) -> Anchorage:
+        model, data = self._model, self._data
+        position, rotation = FrameHandle("body", int(body)).views(data)
+        reference = data.xpos[model.body_rootid[body]]
+        dofs = np.flatnonzero(self._moves[body]).tolist()
+        frame = _native.Frame(position, rotation, reference, dofs)
+        return frame, data.xquat[body], list(map(float, point)), list(map(float, turn))
+
+    def _combination(self, i: int, which: int) -> Combination:
+        """Return the sum that a joint or a fixed tendon is; one of nothing where there is none."""
+        model = self._model
+        if which < 0:
+            return [], 0.0
+        if _kind(model, i) == _TENDON:
+            parts = [(model.wrap_objid[w], model.wrap_prm[w]) for w in _wraps(model, which)]
+            reference = model.tendon_length0[which]
+        else:
+            parts, reference = [(which, 1.0)], model.qpos0[model.jnt_qposadr[which]]
+        return [
+            (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]), float(coefficient))
+            for joint, coefficient in parts
+        ], float(reference)
+
+
+class HeldRows(NamedTuple):
+    """E v = f of the hard tasks, where the extension writes it."""
+
+    matrix: Array
+    """E (capacity, n)."""
+    right: Array
+    """f (capacity,)."""
+    multiplier: Array
+    """w (capacity,)."""
+
+
+def hold(native: _native.Engine, problem: Problem, evaluation: Evaluation) -> HeldRows:
+    """Hand the hard tasks over to the extension."""
+    tasks, capacity = [], 0
+    for term in evaluation.terms:
+        if not term.hard:
+            continue
+        directions = weighed_directions(term.weight)
+        capacity += len(directions)
+        axis = term.axis.tolist() if isinstance(term, PointingTerm) else []
+        first = evaluation.rows_of([term]).start
+        tasks.append((first, term.rows, directions.ravel().tolist(), term.joint, axis))
+    n = problem.dofs.size
+    rows = HeldRows(np.zeros((capacity, n)), np.zeros(capacity), np.zeros(capacity))
+    still = (problem.box.velocity == 0.0).tolist()
+    _native.hold(native, tasks, still, *rows)
+    return rows
+
+
+def descend(
+    native: _native.Engine, problem: Problem, evaluation: Evaluation, made: Assembly
+) -> None:
+    """Hand the levels over to the extension."""
+    places = {t.name: k for k, t in enumerate(t for t in evaluation.terms if not t.joint)}
+    levels = []
+    for terms in made.leveled_terms:
+        parts, joints = [], []
+        for term in terms:
+            if term.joint:
+                root = square_root(made.leveled(term))
+                root = np.diag(root) if root.ndim == 1 else root
+                root = root[np.any(root != 0.0, axis=1)]
+                joints.append((evaluation.rows_of([term]).start, root.ravel().tolist()))
+            else:
+                directed = np.flatnonzero(term.diagonal > 0.0).tolist() if term.preserve else []
+                parts.append((places[term.name], directed))
+        levels.append((parts, joints))
+    metric = made.unit * problem.metric[np.ix_(problem.dofs, problem.dofs)]
+    _native.descend(native, levels, metric.ravel().tolist(), made.unit * problem.inertia)
