@@ -267,7 +267,8 @@ class NativeEngine(PythonEngine):
         body = frame.body(model)
         position, rotation = frame.views(data)
         reference = data.xpos[model.body_rootid[body]]
-        return _native.Frame(position, rotation, reference, np.flatnonzero(self._moves[body]).tolist())
+        dofs = np.flatnonzero(self._moves[body]).tolist()
+        return _native.Frame(position, rotation, reference, dofs)
 
     def _masses(
         self, term: ComTerm
