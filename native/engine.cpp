@@ -130,7 +130,7 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
     end_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(
                               std::chrono::duration<double>(std::max(seconds, 0.0)));
   }
-  evaluate(q);
+  if (q != nullptr) evaluate(q);
   assemble(dt);
   if (equalities_ != nullptr) equalities_->update();
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);

@@ -2,6 +2,7 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -10,6 +11,7 @@
 #include <cstdint>
 #include <initializer_list>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -316,13 +318,13 @@ void evaluate(BoundEngine& bound, const Reading& q) {
   (*bound).evaluate(q.data());
 }
 
-nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
+nb::tuple solve(BoundEngine& bound, const std::optional<Reading>& q, double dt, double seconds,
                 const Writing& solution) {
   Engine& engine = *bound;
   const std::size_t n = engine.size();
-  require(q, static_cast<std::size_t>(engine.mujoco().nq), "q");
+  if (q) require(*q, static_cast<std::size_t>(engine.mujoco().nq), "q");
   require(solution, 2 * n, "solution");
-  const Ending ending = engine.solve(q.data(), dt, seconds);
+  const Ending ending = engine.solve(q ? q->data() : nullptr, dt, seconds);
   std::copy_n(engine.v(), n, solution.data());
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
@@ -369,8 +371,8 @@ void bind_engine(nb::module_& m) {
            "Write the program at what was evaluated; return whether a joint is outside its range.")
       .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
            "Have rows in the program, and commands checked where they lead.")
-      .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,
-           "Solve a step; write v and z, and return how it ended, the iterations, the residuals,\n"
+      .def("solve", &solve, "q"_a.none(), "dt"_a, "seconds"_a, "solution"_a,
+           "Solve a step at q, or at what was evaluated if it is None; write v and z, and return how it ended, the iterations, the residuals,\n"
            "whether a joint or a distance is outside its limit, and whether that is all there is\n"
            "to the step.")
       .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");

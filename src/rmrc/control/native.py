@@ -184,9 +184,9 @@ class NativeEngine(PythonEngine):
             for kind, evaluate in evaluation.evaluators.items()
             if kind not in _JOINT and not issubclass(kind, rows)
         ]
-        foreign = self._foreign or problem.mink_tasks or problem.mink_limits
         hard = any(term.hard for term in evaluation.terms)
-        self._alone = not foreign
+        # Tasks and limits of mink's come behind what C++ has assembled.
+        self._alone = not (problem.mink_tasks or problem.mink_limits)
         self._held = hold(self._native, problem, evaluation) if hard else None
         if not self._box_alone:
             self._connect()
@@ -307,12 +307,16 @@ class NativeEngine(PythonEngine):
             damping.adapt, damping.threshold, damping.largest, adaptive.rank, adaptive.scale, rows
         )
 
-    def _assemble(self, q: Array, dt: float) -> bool:
-        self.behind = False
+    def _evaluate(self, q: Array) -> None:
+        """Evaluate all terms, the foreign ones after the others."""
         self._native.evaluate(q)
         self.evaluation.fill_constraints()
         for evaluate in self._foreign:
             evaluate()
+
+    def _assemble(self, q: Array, dt: float) -> bool:
+        self.behind = False
+        self._evaluate(q)
         outside = self._native.assemble(dt)
         self._assembly.add_mink_tasks(dt)
         return outside
@@ -336,7 +340,7 @@ class NativeEngine(PythonEngine):
             v: Its last command (nv,), and the next.
         """
         problem = self.problem
-        if not self._alone:
+        if not self._alone or self._foreign:
             return None
         timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
         if timed or problem.config.previous == "measured" or np.isfinite(problem.box.jerk).any():
@@ -348,9 +352,13 @@ class NativeEngine(PythonEngine):
         if not self._alone:
             return super().solve(q, v_previous, dt)
         self.evaluation.v_previous[:] = v_previous
+        if self._foreign:
+            self._evaluate(q)
         seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
-        status, iterations, *kkt, self.outside, done = self._native.solve(q, dt, seconds, both)
+        status, iterations, *kkt, self.outside, done = self._native.solve(
+            None if self._foreign else q, dt, seconds, both
+        )
         y = w = _NONE
         if not self._box_alone:
             y, w = self._catch_up()
