@@ -372,7 +372,8 @@ void bind_engine(nb::module_& m) {
       .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
            "Have rows in the program, and commands checked where they lead.")
       .def("solve", &solve, "q"_a.none(), "dt"_a, "seconds"_a, "solution"_a,
-           "Solve a step at q, or at what was evaluated if it is None; write v and z, and return how it ended, the iterations, the residuals,\n"
+           "Solve a step at q, or at what was evaluated if it is None; write v and z, and return how\n"
+           "it ended, the iterations, the residuals,\n"
            "whether a joint or a distance is outside its limit, and whether that is all there is\n"
            "to the step.")
       .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");
