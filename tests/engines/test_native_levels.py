@@ -124,5 +124,7 @@ def test_nearly_all_steps_end_in_the_extension(
 
 def test_a_tendon_with_a_path_stays_with_python(tmp_path: Path) -> None:
     for _, native in twins(mechanism(tmp_path, tendon="path"), 20):
-        assert native.moment.engine._foreign
+        engine = native.moment.engine
+        assert isinstance(engine, NativeEngine)
+        assert engine._foreign
         assert not isinstance(native._source, Record)
