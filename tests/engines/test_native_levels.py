@@ -14,6 +14,7 @@ pytest.importorskip(
 )
 from twins import twins
 
+from rmrc.control.batch import BatchController
 from rmrc.control.native import NativeEngine
 from rmrc.control.native_steps import Record
 
@@ -120,6 +121,22 @@ def test_nearly_all_steps_end_in_the_extension(
     problem = rmrc.compile(config(PANDA, tasks, start=START, dt=0.005, limits=limits, **options))
     taken = [isinstance(native._source, Record) for _, native in twins(problem, STEPS)]
     assert sum(taken) >= TAKEN * STEPS
+
+
+@pytest.mark.parametrize(("hard", "priority"), [(True, "soft"), (False, "strict")])
+def test_a_batch_takes_the_steps_of_one(hard: bool, priority: str) -> None:
+    point = {"name": "hand", "type": "frame", "frame": {"site": "hand"}, "hard": hard}
+    tasks = [point, {"name": "posture", "type": "posture", "level": 1, "B": 0.01}]
+    limits = {"velocity": {"default": 0.6}}
+    problem = rmrc.compile(config(PANDA, tasks, start=START, limits=limits, priority=priority))
+    far = problem.term["hand"].target[4:] + np.array(
+        [1.0, 0.0, 0.5]
+    )  # hard, it goes down the ladder
+    batch, alone = BatchController(problem, 1), rmrc.Controller(problem)
+    assert batch.set_targets("hand", np.array([[*far, 1.0, 0.0, 0.0, 0.0]])).all()
+    assert alone.set_target("hand", far, [1.0, 0.0, 0.0, 0.0])
+    for _ in range(20):
+        np.testing.assert_array_equal(batch.step().v[0], alone.step().v)
 
 
 def test_a_tendon_with_a_path_stays_with_python(tmp_path: Path) -> None:
