@@ -134,8 +134,10 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
     end_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(
                               std::chrono::duration<double>(std::max(seconds, 0.0)));
   }
-  place(q);
-  evaluate_terms();
+  if (q != nullptr) {
+    place(q);
+    evaluate_terms();
+  }
   assemble(dt);
   if (equalities_ != nullptr) equalities_->update();
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
@@ -150,7 +152,7 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
                          (equalities_ == nullptr || equalities_->count() == 0);
   finished_ = box_alone || trusted(ending);
   if (finished_ && limited && shortening_ != nullptr) finished_ = at_distance(dt);
-  if (!finished_) place_all(q);  // Python goes on, and may look at anything
+  if (!finished_ && q != nullptr) place_all(q);  // Python goes on, and may look at anything
   if (!box_alone || trusted(ending)) return ending;
   const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
   if (stopped && residuals_.primal <= certified) return ending;

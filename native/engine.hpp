@@ -89,7 +89,8 @@ class Engine {
   /// outside its range.
   bool assemble(double dt);
 
-  /// Solve a step of dt seconds at q (nq,), within so many seconds from now.
+  /// Solve a step of dt seconds at q (nq,), or at what was evaluated last if q is null, within so
+  /// many seconds from now.
   Ending solve(const double* q, double dt,
                double seconds = std::numeric_limits<double>::infinity());
 

@@ -313,14 +313,14 @@ void evaluate(BoundEngine& bound, const Reading& q) {
   (*bound).evaluate(q.data());
 }
 
-nb::tuple solve(BoundEngine& bound, const Reading& q, double dt, double seconds,
+nb::tuple solve(BoundEngine& bound, const std::optional<Reading>& q, double dt, double seconds,
                 const Writing& solution) {
   Engine& engine = *bound;
   const std::size_t n = engine.size();
-  require(q, static_cast<std::size_t>(engine.mujoco().nq), "q");
+  if (q) require(*q, static_cast<std::size_t>(engine.mujoco().nq), "q");
   require(solution, 2 * n, "solution");
-  const auto begun = engine.resume(q.data(), dt);
-  const Ending ending = begun ? *begun : engine.solve(q.data(), dt, seconds);
+  const auto begun = q ? engine.resume(q->data(), dt) : std::nullopt;
+  const Ending ending = begun ? *begun : engine.solve(q ? q->data() : nullptr, dt, seconds);
   std::copy_n(engine.v(), n, solution.data());
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
@@ -370,11 +370,11 @@ void bind_engine(nb::module_& m) {
            "Place what a step looks at by these, in place of MuJoCo's.")
       .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
            "Have rows in the program, and commands checked where they lead.")
-      .def("solve", &solve, "q"_a, "dt"_a, "seconds"_a, "solution"_a,
-           "Solve a step, or take up one that was not finished; write v and z, and return how it\n"
-           "ended, the iterations, the residuals, whether a joint or a distance is outside its\n"
-           "limit, what is left of the command, whether rows were relaxed, and whether that is all\n"
-           "there is to the step.")
+      .def("solve", &solve, "q"_a.none(), "dt"_a, "seconds"_a, "solution"_a,
+           "Solve a step at q, or at what was evaluated if it is None, or take up one that was not\n"
+           "finished; write v and z, and return how it ended, the iterations, the residuals, whether\n"
+           "a joint or a distance is outside its limit, what is left of the command, whether rows\n"
+           "were relaxed, and whether that is all there is to the step.")
       .def_prop_ro(
           "raised",
           [](BoundEngine& bound) -> std::optional<Numbers> {

@@ -40,8 +40,9 @@ Levels::Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int
   jacobian_.resize(directed * n);
   direction_.resize(directed);
   const auto& constant = metric_.constant;
-  const bool weighs = metric_.inertia != 0.0 ||
-                      std::any_of(constant.begin(), constant.end(), [](double a) { return a != 0.0; });
+  const auto counts = [](double value) { return value != 0.0; };
+  const bool weighs =
+      metric_.inertia != 0.0 || std::any_of(constant.begin(), constant.end(), counts);
   if (weighs) last_.resize(n * n);
   int row = 0, along = 0;
   for (Level& level : levels_) {

@@ -7,18 +7,25 @@ import numpy as np
 import pytest
 
 import rmrc
-from models import config
+from models import REPOSITORY, config
 
 pytest.importorskip(
     "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
 )
 from twins import twins
 
+from rmrc.control.batch import BatchController
 from rmrc.control.native import NativeEngine
 from rmrc.control.native_steps import Record
 
 ROUNDING = 1e-12
 """m or rad, and of J: sums of a few terms of the order of 1, in another order."""
+
+STEPS = 200
+TAKEN = 0.9
+"""Share of the steps that C++ ends: targets out of reach for hard tasks go down the ladder."""
+START = [0.3, -0.4, 0.5, -1.8, 0.4, 1.7, 0.6]
+PANDA = str(REPOSITORY / "scenes" / "panda.xml")
 
 MECHANISM = """
 <mujoco>
@@ -94,7 +101,47 @@ def test_every_kind_of_constraint_is_evaluated_as_in_mujoco(tmp_path: Path, jaco
         np.testing.assert_allclose(ours.jacobian, theirs.jacobian, rtol=0.0, atol=ROUNDING)
 
 
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [
+        ({"hard": True}, {}),
+        ({}, {"priority": "strict"}),
+        ({"preserve": "direction"}, {}),
+        ({"hard": True}, {"priority": "strict"}),
+    ],
+)
+def test_nearly_all_steps_end_in_the_extension(
+    task: dict[str, Any], options: dict[str, Any]
+) -> None:
+    point = {"name": "hand", "type": "frame", "frame": {"site": "hand"}, "gain": 2.0}
+    point["B"] = {"position": 1.0, "orientation": 0.0}
+    below = {"name": "posture", "type": "posture", "level": 1, "B": 0.01}
+    limits = {"velocity": {"default": 0.6}}
+    tasks = [{**point, **task}, below]
+    problem = rmrc.compile(config(PANDA, tasks, start=START, dt=0.005, limits=limits, **options))
+    taken = [isinstance(native._source, Record) for _, native in twins(problem, STEPS)]
+    assert sum(taken) >= TAKEN * STEPS
+
+
+@pytest.mark.parametrize(("hard", "priority"), [(True, "soft"), (False, "strict")])
+def test_a_batch_takes_the_steps_of_one(hard: bool, priority: str) -> None:
+    point = {"name": "hand", "type": "frame", "frame": {"site": "hand"}, "hard": hard}
+    tasks = [point, {"name": "posture", "type": "posture", "level": 1, "B": 0.01}]
+    limits = {"velocity": {"default": 0.6}}
+    problem = rmrc.compile(config(PANDA, tasks, start=START, limits=limits, priority=priority))
+    far = problem.term["hand"].target[4:] + np.array(
+        [1.0, 0.0, 0.5]
+    )  # hard, it goes down the ladder
+    batch, alone = BatchController(problem, 1), rmrc.Controller(problem)
+    assert batch.set_targets("hand", np.array([[*far, 1.0, 0.0, 0.0, 0.0]])).all()
+    assert alone.set_target("hand", far, [1.0, 0.0, 0.0, 0.0])
+    for _ in range(20):
+        np.testing.assert_array_equal(batch.step().v[0], alone.step().v)
+
+
 def test_a_tendon_with_a_path_stays_with_python(tmp_path: Path) -> None:
     for _, native in twins(mechanism(tmp_path, tendon="path"), 20):
-        assert native.moment.engine._foreign
+        engine = native.moment.engine
+        assert isinstance(engine, NativeEngine)
+        assert engine._foreign
         assert not isinstance(native._source, Record)

@@ -212,6 +212,10 @@ class _OneByOne:
 
 def _worker(engine: Engine) -> "Worker | None":
     """Return what takes an engine's steps in C++, with its evaluation; None where there is none."""
+    problem = engine.problem
+    # A step that C++ leaves to Python's rungs has nowhere to go on in a thread.
+    if problem.cascaded or any(term.hard for term in problem.terms):
+        return None
     if engine.rows.any:  # what is near is kept by each barrier, for one robot
         return None
     model = engine.problem.model

@@ -122,10 +122,10 @@ class NativeEngine(PythonEngine):
     """Evaluates, assembles and solves in C++, with an active-set method (see native/README.md).
 
     Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
-    would have written them. A program of a box and rows is C++'s as a whole, the correction
-    and the shortening of a command included, until a solution is not certified; equalities, levels
-    and the rungs of the ladder are the Python engine's, and what they solve is solved in C++. Terms without an evaluator in
-    C++, the foreign ones, are evaluated in Python before C++ assembles.
+    would have written them. A step is C++'s as a whole, the correction and the shortening of its
+    command included, until a solution is not certified; tasks and limits of mink's and the rungs of
+    the ladder are the Python engine's, and what they solve is solved in C++. Terms without an
+    evaluator in C++, the foreign ones, are evaluated in Python before C++ assembles.
     """
 
     name = "native"
@@ -188,9 +188,9 @@ class NativeEngine(PythonEngine):
             for kind, evaluate in evaluation.evaluators.items()
             if kind not in _JOINT and not issubclass(kind, rows)
         ]
-        foreign = self._foreign or problem.mink_tasks or problem.mink_limits
         hard = any(term.hard for term in evaluation.terms)
-        self._alone = not foreign
+        # Tasks and limits of mink's come behind what C++ has assembled.
+        self._alone = not (problem.mink_tasks or problem.mink_limits)
         self._held = hold(self._native, problem, evaluation) if hard else None
         if not self._box_alone:
             self._connect()
@@ -313,12 +313,16 @@ class NativeEngine(PythonEngine):
             damping.adapt, damping.threshold, damping.largest, adaptive.rank, adaptive.scale, rows
         )
 
-    def _assemble(self, q: Array, dt: float) -> bool:
-        self.behind = False
+    def _evaluate(self, q: Array) -> None:
+        """Evaluate all terms, the foreign ones after the others."""
         self._native.evaluate(q)
         self.evaluation.fill_constraints()
         for evaluate in self._foreign:
             evaluate()
+
+    def _assemble(self, q: Array, dt: float) -> bool:
+        self.behind = False
+        self._evaluate(q)
         outside = self._native.assemble(dt)
         self._assembly.add_mink_tasks(dt)
         return outside
@@ -342,7 +346,7 @@ class NativeEngine(PythonEngine):
             v: Its last command (nv,), and the next.
         """
         problem = self.problem
-        if not self._alone:
+        if not self._alone or self._foreign:
             return None
         timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
         if timed or problem.config.previous == "measured" or np.isfinite(problem.box.jerk).any():
@@ -354,10 +358,12 @@ class NativeEngine(PythonEngine):
         if not self._alone:
             return super().solve(q, v_previous, dt)
         self.evaluation.v_previous[:] = v_previous
+        if self._foreign:
+            self._evaluate(q)
         seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
         status, iterations, *kkt, self.outside, share, relaxed, done = self._native.solve(
-            q, dt, seconds, both
+            None if self._foreign else q, dt, seconds, both
         )
         y = w = _NONE
         if not self._box_alone:
