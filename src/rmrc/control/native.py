@@ -119,10 +119,10 @@ class NativeEngine(PythonEngine):
     """Evaluates, assembles and solves in C++, with an active-set method (see native/README.md).
 
     Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
-    would have written them. A program of a box and rows is C++'s as a whole, the correction
-    and the shortening of a command included, until a solution is not certified; equalities, levels
-    and the rungs of the ladder are the Python engine's, and what they solve is solved in C++. Terms without an evaluator in
-    C++, the foreign ones, are evaluated in Python before C++ assembles.
+    would have written them. A program of a box and rows is C++'s as a whole, the correction and the
+    shortening of a command included, until a solution is not certified; equalities, levels and the
+    rungs of the ladder are the Python engine's, and what they solve is solved in C++. Terms without
+    an evaluator in C++, the foreign ones, are evaluated in Python before C++ assembles.
     """
 
     name = "native"
