@@ -124,7 +124,7 @@ class Engine {
   bool cascaded() const { return cascade_ != nullptr; }
 
   /// Whether the last solution is all that there is to it: with rows what was not certified, and a
-  /// command with too much to look at, are left to rmrc.control.engine.PythonEngine.
+  /// command that takes too long to rest, are left to rmrc.control.engine.PythonEngine.
   bool finished() const { return finished_; }
 
   /// Keep the last step, which is not finished, for who takes it up: how it has ended until now.

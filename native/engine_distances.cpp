@@ -50,7 +50,7 @@ bool Engine::at_distance(double dt) {
 }
 
 // Shorten v towards the brake where a distance would be passed at the end of the step; false, and
-// v is as it was, where there is too much to look at.
+// v is as it was, where that is left to others.
 bool Engine::keep_distances(double dt) {
   brake(brake_.data());
   const Share found = shortening_->share(v_.data(), brake_.data(), dt);

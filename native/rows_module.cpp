@@ -274,7 +274,7 @@ void bind_rows(nb::module_& m) {
           },
           "v"_a, "brake"_a, "dt"_a,
           "Return how much of v keeps all distances, from the brake on, and whether one falls\n"
-          "below its limit even so; None if there is too much to look at.");
+          "below its limit even so; None if it takes too long to rest.");
 }
 
 }  // namespace rmrc

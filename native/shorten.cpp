@@ -16,8 +16,7 @@ constexpr double tolerance = 0.5e-6;
 constexpr double noise = 1e-9;
 constexpr int most_looks = 256;
 constexpr int most_parts = 24;
-// More than so many entries, or steps to rest, are left to Python.
-constexpr int most_entries = 128;
+// More steps to rest are left to Python.
 constexpr double most_steps = 1e6;
 constexpr int most_ahead = 24;  // > 1 + log₂ most_steps
 
@@ -40,9 +39,9 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
       turn_(mujoco_.nv),
       bent_(mujoco_.nv),
       moved_(mujoco_.nv),
-      entries_(most_entries),
-      all_(most_entries),
-      some_(most_entries),
+      entries_(rows.capacity()),
+      all_(rows.capacity()),
+      some_(rows.capacity()),
       ahead_(most_ahead) {
   for (const Block& block : rows.blocks()) {
     pairs_.push_back(dynamic_cast<const Collision*>(block.barrier));
@@ -50,18 +49,18 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
   std::iota(all_.begin(), all_.end(), 0);
   const auto allocate = [&](Look& look) {
     look.way.resize(n_);
-    look.room.resize(most_entries);
-    look.known.resize(most_entries);
+    look.room.resize(rows.capacity());
+    look.known.resize(rows.capacity());
   };
   allocate(begin_);
   for (Part& part : ahead_) {
     allocate(part.look);
-    part.among.resize(most_entries);
+    part.among.resize(rows.capacity());
   }
 }
 
 // Find the entries that a motion with v, or with the brake if there is one, could carry below their
-// limit; false if there are too many, or too many steps.
+// limit; false if there are too many steps to rest.
 bool Shortening::watch(const double* v, const double* brake, double dt) {
   dt_ = dt;
   std::fill(step_.begin(), step_.end(), 0.0);
@@ -84,7 +83,6 @@ bool Shortening::watch(const double* v, const double* brake, double dt) {
       const double reach = block.barrier->reach(id, step_.data(), dt_);
       const double distance = rows_.arrays().distance[row];
       if (!(distance < reach)) continue;
-      if (count_ == most_entries) return false;
       Entry& entry = entries_[count_++];
       entry.barrier = block.barrier;
       entry.pairs = pairs_[k];

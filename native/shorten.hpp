@@ -15,7 +15,7 @@ namespace rmrc {
 struct Share {
   double share;  // s of b + s (v − b), with the brake b
   bool passed;   // whether a distance falls below its limit even so
-  bool known;    // false where there is too much to look at, which is left to Python
+  bool known;    // false where there are too many steps to rest, which are left to Python
 };
 
 /// Keeps distances at the configuration that a command leads to: rmrc.control.shorten.Shortening.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import rmrc
 from models import CHAIN, PLANES, REPOSITORY, config, random_configuration
 from rmrc import Problem
-from rmrc.control.engine import PythonEngine
+from rmrc.control.engines import Engine
 from rmrc.problem.limits.collision import Collision
 from rmrc.qp.program import Solution
 from rmrc.qp.rows import Rows
@@ -82,7 +82,7 @@ class Twins:
                 self.hold(engine, q, command.v)
         return expected, solution
 
-    def hold(self, engine: PythonEngine, q: Array, v: Array) -> None:
+    def hold(self, engine: Engine, q: Array, v: Array) -> None:
         """Hold the distances where a command leads to what they may be, measured afresh."""
         end, way = self._end, np.zeros(self.problem.model.nv)
         now, twist, dt = engine.evaluation.data, engine.evaluation.obstacle_twist, self.problem.dt

@@ -158,7 +158,7 @@ class NativeRows(Rows):
 
 
 class NativeShortening(Shortening):
-    """Has the extension find the share of a command, unless there is too much to look at."""
+    """Has the extension find the share of a command, unless it takes too long to rest."""
 
     def connect(self, rows: NativeRows, twist: Array) -> None:
         """Have the rows of an engine checked; `twist` are the mocap bodies' velocities."""

@@ -48,7 +48,8 @@ class Layout:
                 "mocap_quat": data.mocap_quat,
                 "obstacle_twist": evaluation.obstacle_twist,
             }
-        first = {"kkt": 3, "dt": 1, "share": 1, "v": nv, "q": nq, "from": nq, "v_previous": nv, "z": n}
+        first = {"kkt": 3, "dt": 1, "share": 1, "v": nv, "q": nq, "from": nq}
+        first |= {"v_previous": nv, "z": n}
         shapes = {name: (size,) for name, size in first.items()}
         shapes |= {name: array.shape for name, array in self.kept.items()}
         shapes["moving"] = (len(evaluation.moving),)
