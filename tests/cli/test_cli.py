@@ -9,23 +9,11 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import rmrc
 
 from models import REPOSITORY
 
 LINE = REPOSITORY / "configs" / "planar_line.yaml"
-
-
-def rmrc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "rmrc", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-        timeout=120,
-    )
-    assert "Traceback" not in done.stderr + done.stdout
-    return done
 
 
 def test_solve_prints_a_summary_and_counts_run_folders_up(tmp_path: Path) -> None:

@@ -1,14 +1,13 @@
 """`rmrc compare`: its JSON, its page, its exit codes, and what the shipped comparisons show."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from commands import rmrc
 from numpy.typing import NDArray
 
 from models import REPOSITORY
@@ -23,22 +22,9 @@ SAME_RUN = 1e-3
 ON_THE_LINE, OFF_THE_LINE = 1e-4, 1e-2
 
 
-def rmrc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "rmrc", "compare", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-        timeout=120,
-    )
-    assert "Traceback" not in done.stderr + done.stdout
-    return done
-
-
 def compared(name: str, folder: Path, *arguments: object) -> dict[str, Any]:
     """Return the JSON of a comparison that went well, its folder as it is given."""
-    done = rmrc(CONFIGS / f"{name}.yaml", "--json", *arguments, cwd=folder)
+    done = rmrc("compare", CONFIGS / f"{name}.yaml", "--json", *arguments, cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
     return json.loads(done.stdout, parse_constant=pytest.fail)
 
@@ -185,7 +171,9 @@ def least_distance(q: NDArray[np.float64]) -> float:
 
 
 def test_by_default_every_method_runs_or_says_why_not(tmp_path: Path) -> None:
-    done = rmrc(CONFIGS / "panda_line.yaml", "--set", "duration=0.02", "--out", "c", cwd=tmp_path)
+    done = rmrc(
+        "compare", CONFIGS / "panda_line.yaml", "--set", "duration=0.02", "--out", "c", cwd=tmp_path
+    )
     assert (done.returncode, done.stderr) == (0, "")
     words = done.stdout.split()
     for method in ("daqp", "proxqp", "osqp", "transpose", "pinv", "dls", "sdls"):
@@ -195,7 +183,7 @@ def test_by_default_every_method_runs_or_says_why_not(tmp_path: Path) -> None:
     assert "inverse is left out" in done.stdout
     assert "weighted is left out" in done.stdout
     assert (tmp_path / "c" / "compare.html").is_file()
-    again = rmrc(CONFIGS / "panda_line.yaml", "--out", "c", cwd=tmp_path)
+    again = rmrc("compare", CONFIGS / "panda_line.yaml", "--out", "c", cwd=tmp_path)
     assert again.returncode == 2
     assert "already holds a comparison" in again.stderr
 
@@ -218,7 +206,7 @@ def test_by_default_every_method_runs_or_says_why_not(tmp_path: Path) -> None:
 def test_wrong_input_is_said_once_and_leaves_nothing(
     arguments: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
-    done = rmrc(CONFIGS / "compare_limits.yaml", *arguments, "--json", cwd=tmp_path)
+    done = rmrc("compare", CONFIGS / "compare_limits.yaml", *arguments, "--json", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count(message) == 1
     assert ("needs" in done.stderr) == ("needs" in message)

@@ -1,12 +1,11 @@
 """Every shipped configuration runs, converges, keeps its limits, and leaves a run folder."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import rmrc as command
 
 import rmrc
 from models import REPOSITORY
@@ -55,12 +54,7 @@ def config_path(request: pytest.FixtureRequest) -> Path:
 
 def test_it_solves_on_the_command_line(config_path: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    done = subprocess.run(
-        [sys.executable, "-m", "rmrc", "solve", config_path, "--out", out, "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = command("solve", config_path, "--out", out, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
     summary = json.loads(done.stdout)

@@ -53,7 +53,9 @@ class OSQP(Backend):
         places = np.column_stack([np.arange(n), np.tile(np.arange(n, n + m), (n, 1))])
         starts = np.arange(n + 1) * (1 + m)
         rows = csc_matrix((self._matrix(qp), places.ravel(), starts), (n + m, n))
-        self._solver, self._time_limit, self._reading = osqp.OSQP(), UNLIMITED, 0.0
+        # Without a name each new solver looks through the packages for others.
+        self._solver = osqp.OSQP(algebra="builtin")
+        self._time_limit, self._reading = UNLIMITED, 0.0
         try:
             self._solver.setup(hessian, qp.g, rows, *self._limits(qp), **self._settings)
         except osqp.OSQPException:
