@@ -118,5 +118,7 @@ NB_MODULE(_native, m) {
   rmrc::bind_engine(m);
   rmrc::bind_rows(m);
   rmrc::bind_stepper(m);
+  rmrc::bind_record(m);
+  rmrc::bind_loop(m);
   rmrc::bind_batch(m);
 }

@@ -73,6 +73,7 @@ class Stepper {
   const ControllerState& state() const { return state_; }
 
   Engine& engine() { return engine_; }
+  const MuJoCo& mujoco() const { return engine_.mujoco(); }
   Progress& progress() { return progress_; }
 
  private:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rmrc import _native
 from rmrc.control.engine import PythonEngine
 from rmrc.control.native_rows import NativeRows, NativeShortening
-from rmrc.control.native_steps import Layout, Stepper, build_stepper
+from rmrc.control.native_steps import Layout, build_stepper
 from rmrc.errors import SolverError
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.extents import dofs_of_bodies
@@ -318,7 +318,7 @@ class NativeEngine(PythonEngine):
         self._native.forget()
         super().reset()
 
-    def stepper(self, q: Array, v: Array) -> Stepper | None:
+    def stepper(self, q: Array, v: Array) -> _native.Stepper | None:
         """Return what takes a controller's common steps in C++; None where every step is rare.
 
         Args:

@@ -4,12 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
-from rmrc.control.native_steps import Stepper
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
 
 Array = NDArray[np.float64]
-Worker = tuple[Stepper, Evaluation]
+Worker = tuple[_native.Stepper, Evaluation]
 """What takes the steps of one thread, and the evaluation of its engine."""
 
 
@@ -22,7 +21,7 @@ class NativeBatch:
             count=count,
             workers=[
                 (
-                    stepper.native,
+                    stepper,
                     evaluation.targets,
                     evaluation.twists,
                     np.frombuffer(evaluation.moving, dtype=np.uint8),
