@@ -87,6 +87,7 @@ void Engine::forget() {
 void Engine::keep(Memory& memory) {
   memory(warm_);
   solver_.keep(memory);
+  if (limits_ != nullptr) limits_->keep(memory);
 }
 
 void Engine::rest_targets() {

@@ -227,7 +227,7 @@ void intern(PyObject* (&out)[size], const char* const (&of)[size]) {
 void bind_loop(nb::module_& m) {
   PyTypeObject* type = make_method_type();
   if (type == nullptr) nb::raise_python_error();
-  names.quick = PyUnicode_InternFromString("_quick");
+  names.quick = PyUnicode_InternFromString("stepper");
   names.refused = PyUnicode_InternFromString("_refused");
   names.failures = PyUnicode_InternFromString("failures");
   names.deadline = PyUnicode_InternFromString("deadline");

@@ -52,6 +52,9 @@ class Stepper {
   /// Return false, and change nothing, if q is not valid, or the engine has not finished the step.
   bool step(const double* q, double dt, Summary& summary);
 
+  /// Whether the last call has left a step to Python's engine, which the inputs allow.
+  bool left() const { return left_; }
+
   /// Doubles that the last step is written to: residuals (3), dt, v, the configuration v leads to,
   /// the one it starts from, v_previous, z, the arrays kept, and 1 for each target that moves; then
   /// the number of rows of each barrier, and the ids, lo, hi and y of all rows.
@@ -92,6 +95,7 @@ class Stepper {
   int size_;  // without the rows
   std::vector<double> from_;  // (nq,)
   double dt_ = 0.0;
+  bool left_ = false;
 };
 
 }  // namespace rmrc

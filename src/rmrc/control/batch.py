@@ -3,20 +3,16 @@
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.controller import FAILED, Controller, seconds_of
-from rmrc.control.engines import Choice, Engine, build_engine
+from rmrc.control.engines import Choice
 from rmrc.control.inputs import Configurations, numbers
 from rmrc.control.step import Status
 from rmrc.errors import ModelError
 from rmrc.problem.problem import Problem
-
-if TYPE_CHECKING:
-    from rmrc.control.native_batch import Worker
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int32]
@@ -76,22 +72,22 @@ class BatchController:
                 raise ModelError(f"{name} must be at least 1, not {count}")
         self.problem, self.n = problem, n
         self._configurations = Configurations(problem.model)
-        first, self.notices = build_engine(problem, engine)
-        self.engine = first.name
+        first = Controller(problem, engine)
+        self.notices = first.notices
+        self.engine = first.engine.name
         """Name of the engine."""
         self.threads = 1
         """Number of threads that take steps."""
-        if (worker := _worker(first)) is None:
+        if first.stepper is None:
             self._elements = _OneByOne(problem, n, engine)
-            reason = _PARTS if first.name == "native" else "only the native engine has threads"
+            reason = _PARTS if self.engine == "native" else "only the native engine has threads"
             self.notices += (f"{n} controllers are stepped one after the other: {reason}",)
         else:
             from rmrc.control.native_batch import NativeBatch  # which is there if its engine is
 
             self.threads = min(n, threads or _processors())
-            others = [build_engine(problem, "native")[0] for _ in range(self.threads - 1)]
-            workers = [worker, *filter(None, map(_worker, others))]
-            self._elements = NativeBatch(problem, workers, n)
+            others = [Controller(problem, engine) for _ in range(self.threads - 1)]
+            self._elements = NativeBatch(problem, [first, *others], n)
         self.failures = np.zeros(n, dtype=np.int64)
         """Steps in a row (n,), up to the last, that ended without a certified solution."""
         self._q = np.empty((n, problem.model.nq))
@@ -208,15 +204,6 @@ class _OneByOne:
         ]
         flags = np.array([step.flag_bits for step in steps], dtype=np.int32)
         return np.array([step.v for step in steps]), np.array([step.q for step in steps]), flags
-
-
-def _worker(engine: Engine) -> "Worker | None":
-    """Return what takes an engine's steps in C++, with its evaluation; None where there is none."""
-    if engine.rows.any:  # what is near is kept by each barrier, for one robot
-        return None
-    model = engine.problem.model
-    stepper = engine.stepper(np.empty(model.nq), np.empty(model.nv))
-    return None if stepper is None else (stepper, engine.evaluation)
 
 
 def _processors() -> int:

@@ -68,8 +68,9 @@ class Controller:
         self._jerk = bool(np.isfinite(problem.box.jerk).any())
         self._measures = problem.config.previous == "measured"
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
-        self._quick = self.engine.stepper(self._q, self._v)
-        self._progress = self._quick or Progress(problem, self._evaluation, self.engine.assembly)
+        self.stepper = self.engine.stepper(self._q, self._v)
+        """What takes the common steps in the extension; None where Python takes them all."""
+        self._progress = self.stepper or Progress(problem, self._evaluation, self.engine.assembly)
         self.failures = 0
         """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
@@ -129,7 +130,7 @@ class Controller:
             raise ModelError(f"{name} must be {self._model.nv} numbers below {LARGEST:g} in size")
         return valid
 
-    @quick_target  # tries `_quick` first
+    @quick_target  # tries `stepper` first
     def set_target(
         self,
         name: str,
@@ -196,7 +197,7 @@ class Controller:
         evaluation.obstacle_twist[mocap] = pose[7:]
         return True
 
-    @quick_step  # tries `_quick` first, and then has set the deadline
+    @quick_step  # tries `stepper` first, and then has set the deadline
     def step(
         self,
         q: ArrayLike | None = None,
@@ -213,7 +214,7 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
-        if self._quick is None and self._budget < math.inf:
+        if self.stepper is None and self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
         valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else seconds_of(dt)
@@ -231,9 +232,24 @@ class Controller:
                 return self._brake(dt, _STALE if stale else _INVALID_INPUT)
         if self._jerk:
             self._evaluation.a_previous[:] = self._a
-        solution = self.engine.solve(valid, previous, dt)
+        return self._solved(valid, previous, dt)
+
+    def _solved(self, q: Array, previous: Array, dt: float) -> Step:
+        """Return a step of dt seconds from a valid q (nq,)."""
+        solution = self.engine.solve(q, previous, dt)
         self._progress.update(solution.v, dt)
-        return self._carried_out(valid, solution, self._flags(solution), dt, previous)
+        return self._carried_out(q, solution, self._flags(solution), dt, previous)
+
+    def resume(self, q: Array | None, dt: float) -> Step:
+        """Take a step from a valid q (nq,) that an extension has left, as `step` goes on with it.
+
+        This is for `BatchController`, whose extension does not come back after each step.
+        """
+        if self._budget < math.inf:
+            self.engine.deadline = perf_counter() + self._budget
+        valid = self._q.copy() if q is None else self._configurations.read(q)
+        assert valid is not None
+        return self._solved(valid, self._v.copy(), dt)
 
     def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
         """Return the velocity that this step starts from, as measured; None if v is not valid."""

@@ -347,7 +347,10 @@ class NativeEngine(PythonEngine):
             self.relaxed, self.share = False, 1.0
         kkt = KKT(*kkt)
         solution = Solution(both[0], both[1], y, _NONE, iterations, SolveStatus(status), kkt)
-        return solution if done else self._finished(solution, dt)
+        if done:
+            return solution
+        super().reset()  # what Python solved last may be of long ago, or of another element's
+        return self._finished(solution, dt)
 
     def _catch_up(self) -> Array:
         """Have the rows of the last step where Python looks for them; return their multipliers."""
