@@ -1,6 +1,7 @@
 #include "batch.hpp"
 
 #include <algorithm>
+#include <cstring>
 #include <utility>
 
 namespace rmrc {
@@ -81,6 +82,14 @@ void Batch::aim(const TargetPlace& place, const double* values, const double* ve
         aim.take({value, place.pose ? value + 3 : nullptr,
                   velocities == nullptr ? nullptr : velocities + element * aim.width()});
     refused_[element] |= accepted[element] == 0;
+  }
+}
+
+void Batch::read(double* q) {
+  const std::lock_guard lock(mutex_);
+  const std::size_t size = mujoco().nq * sizeof(double);
+  for (int element = 0; element < count_; ++element) {
+    std::memcpy(q + static_cast<std::size_t>(element) * mujoco().nq, memory(element), size);
   }
 }
 

@@ -67,6 +67,9 @@ class Batch {
   /// refused since the last step.
   bool take_back(int element);
 
+  /// Write where the last steps have led to (n, nq).
+  void read(double* q);
+
   int count() const { return count_; }
   const MuJoCo& mujoco() const { return workers_[0].stepper->engine().mujoco(); }
   int target_size() const { return static_cast<int>(start_.size()); }

@@ -85,6 +85,11 @@ class BoundBatch {
     return batch_->step(q ? q->data() : nullptr, dt, {v.data(), following.data(), flags.data()});
   }
 
+  void read(Writing q) {
+    require(q, batch_->count(), batch_->mujoco().nq);
+    batch_->read(q.data());
+  }
+
   void lend(int element) {
     require_element(element);
     batch_->lend(element);
@@ -119,6 +124,7 @@ void bind_batch(nb::module_& m) {
            "Set a target of all, and write for each whether it was valid.")
       .def("step", &BoundBatch::step, "q"_a.none(), "dt"_a, "v"_a, "following"_a, "flags"_a,
            "Take a step of all on the threads, without the GIL; return how many are left to Python.")
+      .def("read", &BoundBatch::read, "q"_a, "Write where the last steps have led to.")
       .def("lend", &BoundBatch::lend, "element"_a, "Have an element in the first worker.")
       .def("take_back", &BoundBatch::take_back, "element"_a,
            "Take it back; return whether a target of its was refused.");

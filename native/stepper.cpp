@@ -106,7 +106,7 @@ void Stepper::reset(const double* q, const double* v) {
 }
 
 void Stepper::keep(Memory& memory) {
-  memory(state_.q, engine_.mujoco().nq);
+  memory(state_.q, engine_.mujoco().nq);  // first: a batch reads it there
   memory(state_.v, engine_.mujoco().nv);
   progress_.keep(memory);
   engine_.keep(memory);

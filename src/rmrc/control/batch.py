@@ -44,8 +44,9 @@ class BatchController:
 
     An element takes the same steps, bit by bit, as a `Controller` with the same engine that is
     given the same; neither the others nor the number of threads make a difference. The native
-    engine shares the elements out among threads, without the GIL. Where it cannot take all of a
-    step (see `notices`) there are n controllers, and one is stepped after the other.
+    engine shares the elements out among threads, without the GIL; single steps that it cannot end
+    Python goes on with afterwards. Where Python takes a part of every step (see `notices`) there
+    are n controllers, and one is stepped after the other.
 
     As with a controller `step` and `set_targets` never raise for what a caller can meet at run
     time, and calls must not overlap. Obstacles stay where the model has them.
@@ -90,7 +91,6 @@ class BatchController:
             self._elements = NativeBatch(problem, [first, *others], n)
         self.failures = np.zeros(n, dtype=np.int64)
         """Steps in a row (n,), up to the last, that ended without a certified solution."""
-        self._q = np.empty((n, problem.model.nq))
         self.reset()
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
@@ -107,7 +107,6 @@ class BatchController:
         start = self._rows("q", self.problem.start if q is None else q, model.nq, read.read)
         rates = np.zeros(model.nv) if v is None else v
         self._elements.reset(start, self._rows("v", rates, model.nv, read.read_velocity))
-        self._q[:] = start
         self.failures[:] = 0
 
     def _rows(
@@ -160,18 +159,19 @@ class BatchController:
             dt: Length of the step, s; by default the problem's.
         """
         seconds = self.problem.dt if dt is None else seconds_of(dt)
-        given = None if q is None else numbers(q, *self._q.shape)
+        given = None if q is None else numbers(q, self.n, self.problem.model.nq)
         if seconds is None or (q is not None and given is None):
-            given = np.full_like(self._q, np.nan)  # with which all elements brake
+            given = np.full((self.n, self.problem.model.nq), np.nan)  # with which all elements brake
         step = BatchStep(*self._elements.step(given, seconds or self.problem.dt))
-        self._q[:] = step.q
-        self.failures = np.where(step.flags & FAILED, self.failures + 1, 0)
+        failed = step.flags & FAILED
+        none = np.zeros_like(self.failures)
+        self.failures = np.where(failed, self.failures + 1, none) if failed.any() else none
         return step
 
     @property
     def q(self) -> Array:
         """The configurations (n, nq) that the last commands led to."""
-        return self._q.copy()
+        return self._elements.q
 
 
 class _OneByOne:
@@ -194,6 +194,11 @@ class _OneByOne:
                 for controller, row, rate in zip(self._controllers, values, rates, strict=True)
             ]
         )
+
+    @property
+    def q(self) -> Array:
+        """The configurations (n, nq) that the last commands led to."""
+        return np.array([controller.q for controller in self._controllers])
 
     def step(self, q: Array | None, dt: float) -> Rows:
         """Return v, q and flags after a step of dt seconds from q (n, nq), or the last's."""

@@ -51,6 +51,13 @@ class NativeBatch:
         self._native.aim(*self._places[name], values, velocities, accepted)
         return accepted.view(np.bool_)
 
+    @property
+    def q(self) -> Array:
+        """The configurations (n, nq) that the last commands led to."""
+        q = np.empty((self._count, self._nq))
+        self._native.read(q)
+        return q
+
     def step(self, q: Array | None, dt: float) -> tuple[Array, Array, NDArray[np.int32]]:
         """Return v, q and flags after a step of dt seconds from q (n, nq), or the last's."""
         v, following = np.empty((self._count, self._nv)), np.empty((self._count, self._nq))
