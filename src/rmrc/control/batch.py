@@ -161,7 +161,8 @@ class BatchController:
         seconds = self.problem.dt if dt is None else seconds_of(dt)
         given = None if q is None else numbers(q, self.n, self.problem.model.nq)
         if seconds is None or (q is not None and given is None):
-            given = np.full((self.n, self.problem.model.nq), np.nan)  # with which all elements brake
+            # With this all elements brake.
+            given = np.full((self.n, self.problem.model.nq), np.nan)
         step = BatchStep(*self._elements.step(given, seconds or self.problem.dt))
         failed = step.flags & FAILED
         none = np.zeros_like(self.failures)
