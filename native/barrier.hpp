@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "memory.hpp"
 #include "mujoco.hpp"
 
 namespace rmrc {
@@ -37,6 +38,9 @@ class Barrier {
 
   /// Return how far an entry may move between two looks, not to pass unnoticed.
   virtual double thickness(int) const { return std::numeric_limits<double>::infinity(); }
+
+  /// Go through what there is to keep between two steps.
+  virtual void keep(Memory&) {}
 
   int size() const { return size_; }
   double gain() const { return gain_; }

@@ -1,6 +1,7 @@
 #include "batch.hpp"
 
 #include <algorithm>
+#include <cstring>
 #include <utility>
 
 namespace rmrc {
@@ -8,6 +9,7 @@ namespace rmrc {
 namespace {
 
 constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.step.Status
+constexpr std::size_t line = 64;  // of a cache: what one thread writes is not beside another's
 
 }  // namespace
 
@@ -23,18 +25,29 @@ Batch::Batch(int count, std::vector<Worker> workers, std::vector<double> start, 
       pool_(static_cast<int>(workers_.size())) {
   Memory counted;
   workers_[0].stepper->keep(counted);
-  bytes_ = counted.bytes();
+  bytes_ = (counted.bytes() + line - 1) / line * line;
   memory_.resize(count * bytes_);
+  for (int element = 0; element < count; ++element) store(workers_[0], element);
 }
 
-void Batch::load(const Worker& worker, int element) {
+void Batch::load(const Worker& worker, int element, Memory stored) {
   const std::size_t size = start_.size();
   std::copy_n(targets_.data() + element * size, size, worker.targets);
   std::copy_n(twists_.data() + element * tasks_ * 6, tasks_ * 6, worker.twists);
   std::copy_n(moving_.data() + element * tasks_, tasks_, worker.moving);
   worker.stepper->engine().rest_targets();
-  Memory stored = Memory::loading(memory(element));
   worker.stepper->keep(stored);
+}
+
+void Batch::lend(int element) {
+  const std::lock_guard lock(mutex_);
+  load(workers_[0], element, Memory::returning(memory(element)));
+}
+
+bool Batch::take_back(int element) {
+  const std::lock_guard lock(mutex_);
+  store(workers_[0], element);
+  return std::exchange(refused_[element], 0) != 0;
 }
 
 void Batch::store(const Worker& worker, int element) {
@@ -48,9 +61,9 @@ void Batch::reset(const double* q, const double* v) {
   const Worker& worker = workers_[0];
   std::fill(moving_.begin(), moving_.end(), 0);
   std::fill(refused_.begin(), refused_.end(), 0);
-  std::copy(start_.begin(), start_.end(), worker.targets);
   for (int element = 0; element < count_; ++element) {
     std::copy(start_.begin(), start_.end(), targets_.begin() + element * start_.size());
+    load(worker, element, Memory::loading(memory(element)));
     worker.stepper->reset(q + element * is.nq, v + element * is.nv);
     store(worker, element);
   }
@@ -72,20 +85,35 @@ void Batch::aim(const TargetPlace& place, const double* values, const double* ve
   }
 }
 
-void Batch::step(const double* q, double dt, const BatchOutput& out) {
+void Batch::read(double* q) {
   const std::lock_guard lock(mutex_);
+  const std::size_t size = mujoco().nq * sizeof(double);
+  for (int element = 0; element < count_; ++element) {
+    std::memcpy(q + static_cast<std::size_t>(element) * mujoco().nq, memory(element), size);
+  }
+}
+
+int Batch::step(const double* q, double dt, const BatchOutput& out) {
+  const std::lock_guard lock(mutex_);
+  left_ = 0;
   const Call call{q, dt, out};
   pool_.run(count_, [this, &call](int thread, int element) {
     take(workers_[thread], element, call);
   });
+  return left_;
 }
 
 void Batch::take(const Worker& worker, int element, const Call& call) {
   const int nq = mujoco().nq, nv = mujoco().nv;
-  load(worker, element);
+  load(worker, element, Memory::loading(memory(element)));
   Summary summary{};
   const double* q = call.q == nullptr ? nullptr : call.q + element * nq;
   const bool taken = worker.stepper->step(q, call.dt, summary);
+  if (worker.stepper->left()) {  // and the element stays as it was
+    call.out.flags[element] = -1;
+    ++left_;
+    return;
+  }
   if (!taken) worker.stepper->brake(call.dt);
   store(worker, element);
   const bool valid = taken && refused_[element] == 0;

@@ -1,6 +1,7 @@
 // Many controllers of one problem at once: rmrc.control.batch.
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <mutex>
@@ -55,8 +56,19 @@ class Batch {
 
   /// Take a step of dt seconds from q (n, nq), or from where the last ones led to if q is null.
   ///
-  /// An element whose q is not valid brakes.
-  void step(const double* q, double dt, const BatchOutput& out);
+  /// An element whose q is not valid brakes. Return how many are left to Python's engine: their
+  /// flags are −1, and what they keep is as the first thread's stepper has left it, no step taken.
+  int step(const double* q, double dt, const BatchOutput& out);
+
+  /// Have an element in the first worker, all of it where Python looks for it.
+  void lend(int element);
+
+  /// Take back what an element in the first worker has become; return whether a target of its was
+  /// refused since the last step.
+  bool take_back(int element);
+
+  /// Write where the last steps have led to (n, nq).
+  void read(double* q);
 
   int count() const { return count_; }
   const MuJoCo& mujoco() const { return workers_[0].stepper->engine().mujoco(); }
@@ -72,7 +84,7 @@ class Batch {
   };
 
   void take(const Worker& worker, int element, const Call& call);
-  void load(const Worker& worker, int element);
+  void load(const Worker& worker, int element, Memory stored);
   void store(const Worker& worker, int element);
   std::byte* memory(int element) { return memory_.data() + element * bytes_; }
 
@@ -84,6 +96,7 @@ class Batch {
   std::vector<std::byte> memory_;               // (n, bytes)
   std::vector<double> targets_, twists_;        // (n, size), (n, tasks, 6)
   std::vector<std::uint8_t> moving_, refused_;  // (n, tasks), (n,)
+  std::atomic<int> left_{0};
   std::mutex mutex_;
   ThreadPool pool_;
 };

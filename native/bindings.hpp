@@ -45,6 +45,10 @@ void bind_levels(nanobind::module_& m);
 /// Add what takes a controller's steps.
 void bind_stepper(nanobind::module_& m);
 
+/// Add the steps that a controller returns, and its two calls in a loop.
+void bind_record(nanobind::module_& m);
+void bind_loop(nanobind::module_& m);
+
 /// Add what takes the steps of many controllers at once.
 void bind_batch(nanobind::module_& m);
 

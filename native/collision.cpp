@@ -27,6 +27,7 @@ double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
 Collision::Collision(const PairArrays& arrays, const MuJoCo& mujoco)
     : Barrier(arrays.pairs, arrays.gain, arrays.push),
       a_(arrays),
+      home_(arrays),
       mujoco_(mujoco),
       nv_(mujoco.nv),
       width_(mujoco.nv + 6 * arrays.mocaps),
@@ -76,6 +77,27 @@ void Collision::near(const Kinematics& now, const double* travel, double dt, Nea
     near.drift[k] = drift(now, id);
     differentiate(now, id, near.slope + static_cast<long>(k) * nv_);
   });
+}
+
+void Collision::keep(Memory& memory) {
+  const auto place = [&](auto* PairArrays::*array, int count) {
+    memory.place(a_.*array, home_.*array, count);
+  };
+  for (const auto array : {&PairArrays::bound, &PairArrays::threshold, &PairArrays::distance}) {
+    place(array, a_.pairs);
+  }
+  place(&PairArrays::segments, 6 * a_.pairs);
+  place(&PairArrays::normals, 3 * a_.pairs);
+  place(&PairArrays::room, 1);
+  place(&PairArrays::travel, width_);
+  for (const auto array : {&PairArrays::position, &PairArrays::seen_position}) {
+    place(array, 3 * a_.bodies);
+  }
+  for (const auto array : {&PairArrays::quaternion, &PairArrays::seen_quaternion}) {
+    place(array, 4 * a_.bodies);
+  }
+  place(&PairArrays::active, a_.pairs);
+  place(&PairArrays::measured, a_.pairs);
 }
 
 // Return how much nearer two geoms can have come to each other since the poses of reference.

@@ -47,6 +47,8 @@ class Collision final : public Barrier {
   double reach(int id, const double* step, double dt) const override;
   double thickness(int id) const override { return a_.thickness[id]; }
 
+  void keep(Memory& memory) override;
+
   /// Return the plane between an active pair, as it was last given by `near`.
   PairPlane plane(const Kinematics& now, int id) const;
 
@@ -77,6 +79,7 @@ class Collision final : public Barrier {
   GeomPair pair(int id) const;
 
   PairArrays a_;
+  const PairArrays home_;  // where the arrays are that a step leaves to the next, if not placed
   const MuJoCo& mujoco_;
   int nv_, width_;
   std::vector<double> travel_, moved_;  // (nv + 6 mocaps,), (bodies,)

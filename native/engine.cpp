@@ -114,6 +114,7 @@ void Engine::keep(Memory& memory) {
   memory(warm_);
   solver_.keep(memory);
   if (cascade_ != nullptr) cascade_->keep(memory);
+  if (limits_ != nullptr) limits_->keep(memory);
 }
 
 void Engine::rest_targets() {

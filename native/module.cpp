@@ -120,5 +120,7 @@ NB_MODULE(_native, m) {
   rmrc::bind_levels(m);
   rmrc::bind_rows(m);
   rmrc::bind_stepper(m);
+  rmrc::bind_record(m);
+  rmrc::bind_loop(m);
   rmrc::bind_batch(m);
 }

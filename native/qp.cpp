@@ -109,7 +109,9 @@ void QPSolver::keep(Memory& memory) {
   memory(rows_);
   memory(equalities_);
   memory(bound_side_);
-  memory(row_side_);
+  memory(key_count_);
+  memory.some(row_side_.data(), std::max(rows_ + equalities_, key_count_), row_side_.size());
+  memory.some(keys_.data(), key_count_, keys_.size());
 }
 
 Status QPSolver::solve(const Program& program, Clock::time_point end) {

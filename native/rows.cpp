@@ -68,6 +68,10 @@ void Rows::update(const double* lb, const double* ub, double dt) {
   for (std::size_t k = 0; k < blocks_.size(); ++k) add_block(static_cast<std::int64_t>(k), dt);
 }
 
+void Rows::keep(Memory& memory) {
+  for (const auto& barrier : barriers_) barrier->keep(memory);
+}
+
 // Bound how fast the joints can be, and how far they can go until they rest.
 void Rows::limit(const double* lb, const double* ub, double dt) {
   for (std::size_t k = 0; k < dofs_.size(); ++k) {

@@ -37,6 +37,9 @@ class Rows {
   /// Write the rows at the present kinematics for a step of dt inside a box lb, ub (n,).
   void update(const double* lb, const double* ub, double dt);
 
+  /// Go through what there is to keep between two steps.
+  void keep(Memory& memory);
+
   int capacity() const { return capacity_; }
   int count() const { return count_; }
 

@@ -62,6 +62,7 @@ bool Stepper::read(const double* q) {
 
 bool Stepper::step(const double* q, double dt, Summary& summary) {
   const MuJoCo& mujoco = engine_.mujoco();
+  left_ = false;
   if (q == nullptr) {
     std::copy_n(state_.q, mujoco.nq, from_.begin());
   } else if (!read(q)) {
@@ -69,8 +70,9 @@ bool Stepper::step(const double* q, double dt, Summary& summary) {
   }
   std::copy_n(state_.v, mujoco.nv, state_.v_previous);
   const Ending ending = engine_.solve(from_.data(), dt, budget_);
-  if (!engine_.finished()) {
-    engine_.suspend(ending);
+  left_ = !engine_.finished();
+  if (left_) {
+    ending_ = ending;
     return false;
   }
   progress_.update(engine_, engine_.v(), dt);
@@ -109,7 +111,7 @@ void Stepper::reset(const double* q, const double* v) {
 }
 
 void Stepper::keep(Memory& memory) {
-  memory(state_.q, engine_.mujoco().nq);
+  memory(state_.q, engine_.mujoco().nq);  // first: a batch reads it there
   memory(state_.v, engine_.mujoco().nv);
   progress_.keep(memory);
   engine_.keep(memory);

@@ -52,7 +52,14 @@ class Stepper {
   /// Return false, and change nothing, if q is not valid, or the engine has not finished the step.
   bool step(const double* q, double dt, Summary& summary);
 
-  /// Doubles that the last step is written to: residuals (3), dt, the share, v, the configuration v leads to,
+  /// Whether the last call has left a step to Python's engine, which the inputs allow.
+  bool left() const { return left_; }
+
+  /// Have the step that was left taken up by the very engine, in place of solving it once more.
+  void suspend() { engine_.suspend(ending_); }
+
+  /// Doubles that the last step is written to: residuals (3), dt, the share, v, the configuration v
+  /// leads to,
   /// the one it starts from, v_previous, z, the arrays kept, and 1 for each target that moves; then
   /// the number of rows of each barrier, and the ids, lo, hi and y of all rows; then w.
   int size() const;
@@ -73,6 +80,7 @@ class Stepper {
   const ControllerState& state() const { return state_; }
 
   Engine& engine() { return engine_; }
+  const MuJoCo& mujoco() const { return engine_.mujoco(); }
   Progress& progress() { return progress_; }
 
  private:
@@ -91,6 +99,8 @@ class Stepper {
   int size_;  // without the rows
   std::vector<double> from_;  // (nq,)
   double dt_ = 0.0;
+  bool left_ = false;
+  Ending ending_ = Ending::failed;  // of the step that was left
 };
 
 }  // namespace rmrc

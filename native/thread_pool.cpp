@@ -6,8 +6,10 @@ namespace rmrc {
 
 namespace {
 
-// Items of one portion: many portions a thread even out, and a counter costs nothing beside one.
-constexpr int portion = 16;
+// Items of one portion, at most: many portions a thread even out, and a counter costs nothing
+// beside one. Few items are so many portions a thread as well.
+constexpr int largest_portion = 16;
+constexpr int portions = 8;
 
 }  // namespace
 
@@ -58,6 +60,8 @@ void ThreadPool::serve(int thread) {
 }
 
 void ThreadPool::take(int thread, int count, const Work& work) {
+  const int threads = static_cast<int>(threads_.size()) + 1;
+  const int portion = std::clamp(count / (portions * threads), 1, largest_portion);
   for (int first; (first = next_.fetch_add(portion)) < count;) {
     const int last = std::min(first + portion, count);
     for (int item = first; item < last; ++item) work(thread, item);

@@ -1,5 +1,5 @@
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from rmrc.control.native import NativeEngine
 from rmrc.control.step import Step
 from rmrc.qp.program import Array
+
+Method = TypeVar("Method")
 
 class QPSolver:
     """A dual active-set solver of quadratic programs, which starts warm."""
@@ -239,19 +241,20 @@ class Shortening:
     def share(self, v: Array, brake: Array, dt: float) -> tuple[float, bool] | None: ...
 
 class Record:
-    """A step as it was taken: a buffer of doubles."""
+    """A step as it was taken."""
 
-    def __buffer__(self, flags: int, /) -> memoryview: ...
     @property
-    def v(self) -> Array: ...
-    @property
-    def q(self) -> Array: ...
+    def numbers(self) -> Array: ...
     @property
     def ending(self) -> str: ...
     @property
     def iterations(self) -> int: ...
     @property
     def engine(self) -> NativeEngine: ...
+
+def set_step_type(base: type[Step], source: Callable[[Record], object]) -> None: ...
+def quick_step(function: Method) -> Method: ...
+def quick_target(function: Method) -> Method: ...
 
 class Stepper:
     """A controller's steps where nothing rare happens."""
@@ -260,8 +263,7 @@ class Stepper:
         self,
         *,
         engine: Engine,
-        step: type,
-        record: type,
+        owner: NativeEngine,
         q: Array,
         v: Array,
         v_previous: Array,
@@ -277,14 +279,13 @@ class Stepper:
     ) -> None: ...
     def add_target(
         self,
+        name: str,
         pose: bool,
         target: Array,
         twist: Array,
         feedforward: Array,
         moving: NDArray[np.uint8],
-    ) -> int: ...
-    def aim(self, at: int, position: object, quaternion: object, velocity: object) -> bool: ...
-    def step(self, engine: object, q: object, dt: object) -> Step | None: ...
+    ) -> None: ...
     def reset(self) -> None: ...
     def update(self, v: Array, dt: float) -> None: ...
     @property
@@ -297,7 +298,7 @@ class Batch:
         self,
         *,
         count: int,
-        workers: list[tuple[Stepper, Array, Array, NDArray[np.uint8]]],
+        workers: list[tuple[Stepper | None, Array, Array, NDArray[np.uint8]]],
         start: list[float],
     ) -> None: ...
     def reset(self, q: Array, v: Array) -> None: ...
@@ -312,4 +313,7 @@ class Batch:
     ) -> None: ...
     def step(
         self, q: Array | None, dt: float, v: Array, following: Array, flags: NDArray[np.int32]
-    ) -> None: ...
+    ) -> int: ...
+    def read(self, q: Array) -> None: ...
+    def lend(self, element: int) -> None: ...
+    def take_back(self, element: int) -> bool: ...

@@ -3,20 +3,16 @@
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.controller import FAILED, Controller, seconds_of
-from rmrc.control.engines import Choice, Engine, build_engine
+from rmrc.control.engines import Choice
 from rmrc.control.inputs import Configurations, numbers
 from rmrc.control.step import Status
 from rmrc.errors import ModelError
 from rmrc.problem.problem import Problem
-
-if TYPE_CHECKING:
-    from rmrc.control.native_batch import Worker
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int32]
@@ -48,8 +44,9 @@ class BatchController:
 
     An element takes the same steps, bit by bit, as a `Controller` with the same engine that is
     given the same; neither the others nor the number of threads make a difference. The native
-    engine shares the elements out among threads, without the GIL. Where it cannot take all of a
-    step (see `notices`) there are n controllers, and one is stepped after the other.
+    engine shares the elements out among threads, without the GIL; single steps that it cannot end
+    Python goes on with afterwards. Where Python takes a part of every step (see `notices`) there
+    are n controllers, and one is stepped after the other.
 
     As with a controller `step` and `set_targets` never raise for what a caller can meet at run
     time, and calls must not overlap. Obstacles stay where the model has them.
@@ -76,25 +73,24 @@ class BatchController:
                 raise ModelError(f"{name} must be at least 1, not {count}")
         self.problem, self.n = problem, n
         self._configurations = Configurations(problem.model)
-        first, self.notices = build_engine(problem, engine)
-        self.engine = first.name
+        first = Controller(problem, engine)
+        self.notices = first.notices
+        self.engine = first.engine.name
         """Name of the engine."""
         self.threads = 1
         """Number of threads that take steps."""
-        if (worker := _worker(first)) is None:
+        if first.stepper is None:
             self._elements = _OneByOne(problem, n, engine)
-            reason = _PARTS if first.name == "native" else "only the native engine has threads"
+            reason = _PARTS if self.engine == "native" else "only the native engine has threads"
             self.notices += (f"{n} controllers are stepped one after the other: {reason}",)
         else:
             from rmrc.control.native_batch import NativeBatch  # which is there if its engine is
 
             self.threads = min(n, threads or _processors())
-            others = [build_engine(problem, "native")[0] for _ in range(self.threads - 1)]
-            workers = [worker, *filter(None, map(_worker, others))]
-            self._elements = NativeBatch(problem, workers, n)
+            others = [Controller(problem, engine) for _ in range(self.threads - 1)]
+            self._elements = NativeBatch(problem, [first, *others], n)
         self.failures = np.zeros(n, dtype=np.int64)
         """Steps in a row (n,), up to the last, that ended without a certified solution."""
-        self._q = np.empty((n, problem.model.nq))
         self.reset()
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
@@ -111,7 +107,6 @@ class BatchController:
         start = self._rows("q", self.problem.start if q is None else q, model.nq, read.read)
         rates = np.zeros(model.nv) if v is None else v
         self._elements.reset(start, self._rows("v", rates, model.nv, read.read_velocity))
-        self._q[:] = start
         self.failures[:] = 0
 
     def _rows(
@@ -164,18 +159,20 @@ class BatchController:
             dt: Length of the step, s; by default the problem's.
         """
         seconds = self.problem.dt if dt is None else seconds_of(dt)
-        given = None if q is None else numbers(q, *self._q.shape)
+        given = None if q is None else numbers(q, self.n, self.problem.model.nq)
         if seconds is None or (q is not None and given is None):
-            given = np.full_like(self._q, np.nan)  # with which all elements brake
+            # With this all elements brake.
+            given = np.full((self.n, self.problem.model.nq), np.nan)
         step = BatchStep(*self._elements.step(given, seconds or self.problem.dt))
-        self._q[:] = step.q
-        self.failures = np.where(step.flags & FAILED, self.failures + 1, 0)
+        failed = step.flags & FAILED
+        none = np.zeros_like(self.failures)
+        self.failures = np.where(failed, self.failures + 1, none) if failed.any() else none
         return step
 
     @property
     def q(self) -> Array:
         """The configurations (n, nq) that the last commands led to."""
-        return self._q.copy()
+        return self._elements.q
 
 
 class _OneByOne:
@@ -199,6 +196,11 @@ class _OneByOne:
             ]
         )
 
+    @property
+    def q(self) -> Array:
+        """The configurations (n, nq) that the last commands led to."""
+        return np.array([controller.q for controller in self._controllers])
+
     def step(self, q: Array | None, dt: float) -> Rows:
         """Return v, q and flags after a step of dt seconds from q (n, nq), or the last's."""
         given = [None] * len(self._controllers) if q is None else q
@@ -208,19 +210,6 @@ class _OneByOne:
         ]
         flags = np.array([step.flag_bits for step in steps], dtype=np.int32)
         return np.array([step.v for step in steps]), np.array([step.q for step in steps]), flags
-
-
-def _worker(engine: Engine) -> "Worker | None":
-    """Return what takes an engine's steps in C++, with its evaluation; None where there is none."""
-    problem = engine.problem
-    # A step that C++ leaves to Python's rungs has nowhere to go on in a thread.
-    if problem.cascaded or any(term.hard for term in problem.terms):
-        return None
-    if engine.rows.any:  # what is near is kept by each barrier, for one robot
-        return None
-    model = engine.problem.model
-    stepper = engine.stepper(np.empty(model.nq), np.empty(model.nv))
-    return None if stepper is None else (stepper, engine.evaluation)
 
 
 def _processors() -> int:

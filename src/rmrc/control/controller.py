@@ -11,6 +11,7 @@ from rmrc.control.engines import Choice, build_engine
 from rmrc.control.inputs import LARGEST, Configurations, Targets
 from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
+from rmrc.control.quick import quick_step, quick_target
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import names
@@ -67,9 +68,9 @@ class Controller:
         self._jerk = bool(np.isfinite(problem.box.jerk).any())
         self._measures = problem.config.previous == "measured"
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
-        stepper = self.engine.stepper(self._q, self._v)
-        self._quick, self._quick_targets = (None, {}) if stepper is None else stepper
-        self._progress = self._quick or Progress(problem, self._evaluation, self.engine.assembly)
+        self.stepper = self.engine.stepper(self._q, self._v)
+        """What takes the common steps in the extension; None where Python takes them all."""
+        self._progress = self.stepper or Progress(problem, self._evaluation, self.engine.assembly)
         self.failures = 0
         """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
@@ -129,6 +130,7 @@ class Controller:
             raise ModelError(f"{name} must be {self._model.nv} numbers below {LARGEST:g} in size")
         return valid
 
+    @quick_target  # tries `stepper` first
     def set_target(
         self,
         name: str,
@@ -154,10 +156,6 @@ class Controller:
         Raises:
             ModelError: If there is no such task.
         """
-        if self._quick is not None and q is None and direction is None:
-            target = self._quick_targets.get(name)
-            if target is not None and self._quick.aim(target, position, quaternion, velocity):
-                return True
         term = self._term.get(name) or self.problem.named(name)
         accepted = self._targets.take(term, position, quaternion, velocity, q, direction)
         if not accepted:
@@ -199,6 +197,7 @@ class Controller:
         evaluation.obstacle_twist[mocap] = pose[7:]
         return True
 
+    @quick_step  # tries `stepper` first, and then has set the deadline
     def step(
         self,
         q: ArrayLike | None = None,
@@ -215,16 +214,8 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
-        if self._budget < math.inf:
+        if self.stepper is None and self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
-        if self._quick is not None:
-            step = self._quick.step(self.engine, q, dt)
-            if step is not None:
-                if self._refused:
-                    self._refused = False
-                    step.flag_bits |= _INVALID_INPUT
-                self.failures = self.failures + 1 if step.flag_bits & FAILED else 0
-                return step
         valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else seconds_of(dt)
         if valid is None or seconds is None:
@@ -241,9 +232,24 @@ class Controller:
                 return self._brake(dt, _STALE if stale else _INVALID_INPUT)
         if self._jerk:
             self._evaluation.a_previous[:] = self._a
-        solution = self.engine.solve(valid, previous, dt)
+        return self._solved(valid, previous, dt)
+
+    def _solved(self, q: Array, previous: Array, dt: float) -> Step:
+        """Return a step of dt seconds from a valid q (nq,)."""
+        solution = self.engine.solve(q, previous, dt)
         self._progress.update(solution.v, dt)
-        return self._carried_out(valid, solution, self._flags(solution), dt, previous)
+        return self._carried_out(q, solution, self._flags(solution), dt, previous)
+
+    def resume(self, q: Array | None, dt: float) -> Step:
+        """Take a step from a valid q (nq,) that an extension has left, as `step` goes on with it.
+
+        This is for `BatchController`, whose extension does not come back after each step.
+        """
+        if self._budget < math.inf:
+            self.engine.deadline = perf_counter() + self._budget
+        valid = self._q.copy() if q is None else self._configurations.read(q)
+        assert valid is not None
+        return self._solved(valid, self._v.copy(), dt)
 
     def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
         """Return the velocity that this step starts from, as measured; None if v is not valid."""

@@ -22,7 +22,7 @@ from rmrc.qp.relax import INCONSISTENT, least_violation
 from rmrc.qp.rows import Rows
 
 if TYPE_CHECKING:
-    from rmrc.control.native_steps import Stepper
+    from rmrc._native import Stepper
 
 Array = NDArray[np.float64]
 

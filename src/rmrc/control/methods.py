@@ -20,7 +20,7 @@ from rmrc.qp.program import KKT, Solution, SolveStatus
 from rmrc.qp.rows import Rows
 
 if TYPE_CHECKING:
-    from rmrc.control.native_steps import Stepper
+    from rmrc._native import Stepper
 
 Array = NDArray[np.float64]
 

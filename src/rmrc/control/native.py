@@ -16,7 +16,7 @@ from rmrc.control import native_kinematics
 from rmrc.control.engine import PythonEngine
 from rmrc.control.native_levels import HeldRows, LoopParts, descend, has_evaluator, hold
 from rmrc.control.native_rows import NativeRows, NativeShortening
-from rmrc.control.native_steps import Layout, Stepper, build_stepper
+from rmrc.control.native_steps import Layout, build_stepper
 from rmrc.errors import SolverError
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.extents import dofs_of_bodies
@@ -338,7 +338,7 @@ class NativeEngine(PythonEngine):
         self._native.forget()
         super().reset()
 
-    def stepper(self, q: Array, v: Array) -> Stepper | None:
+    def stepper(self, q: Array, v: Array) -> _native.Stepper | None:
         """Return what takes a controller's common steps in C++; None where every step is rare.
 
         Args:
@@ -373,9 +373,12 @@ class NativeEngine(PythonEngine):
         solution = Solution(both[0], both[1], y, w, iterations, SolveStatus(status), kkt)
         if self._cascade is not None:
             self.scaled = _native.scaled(self._native)
-            if not (done or self._trusted(solution)):  # to be attempted with more room
-                solution = self._best()
-        return solution if done else self._finished(solution, dt)
+        if done:
+            return solution
+        super().reset()  # what Python solved last may be of long ago, or of another element's
+        if self._cascade is not None and not self._trusted(solution):
+            solution = self._best()  # which attempts it with more room
+        return self._finished(solution, dt)
 
     def _catch_up(self) -> tuple[Array, Array]:
         """Have the rows and equalities of the last step where Python looks; return y and w."""

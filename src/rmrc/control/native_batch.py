@@ -4,30 +4,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
-from rmrc.control.native_steps import Stepper
-from rmrc.problem.evaluation import Evaluation
+from rmrc.control.controller import Controller
+from rmrc.control.step import Status, Step
 from rmrc.problem.problem import Problem
 
 Array = NDArray[np.float64]
-Worker = tuple[Stepper, Evaluation]
-"""What takes the steps of one thread, and the evaluation of its engine."""
 
 
 class NativeBatch:
-    """Takes the steps of `count` elements, on one thread for each worker."""
+    """Takes the steps of `count` elements, on one thread for each controller.
 
-    def __init__(self, problem: Problem, workers: list[Worker], count: int):
+    A step that the extension cannot end, for its solution is not certified, or has to be corrected
+    or shortened, the first of the controllers goes on with, one element after the other.
+    """
+
+    def __init__(self, problem: Problem, controllers: list[Controller], count: int):
+        self._first = controllers[0]
         self._count, self._nq, self._nv = count, problem.model.nq, problem.model.nv
         self._native = _native.Batch(
             count=count,
             workers=[
                 (
-                    stepper.native,
+                    controller.stepper,
                     evaluation.targets,
                     evaluation.twists,
                     np.frombuffer(evaluation.moving, dtype=np.uint8),
                 )
-                for stepper, evaluation in workers
+                for controller in controllers
+                for evaluation in (controller.engine.evaluation,)
             ],
             start=np.concatenate([term.target for term in problem.terms]).tolist(),
         )
@@ -47,9 +51,28 @@ class NativeBatch:
         self._native.aim(*self._places[name], values, velocities, accepted)
         return accepted.view(np.bool_)
 
+    @property
+    def q(self) -> Array:
+        """The configurations (n, nq) that the last commands led to."""
+        q = np.empty((self._count, self._nq))
+        self._native.read(q)
+        return q
+
     def step(self, q: Array | None, dt: float) -> tuple[Array, Array, NDArray[np.int32]]:
         """Return v, q and flags after a step of dt seconds from q (n, nq), or the last's."""
         v, following = np.empty((self._count, self._nv)), np.empty((self._count, self._nq))
         flags = np.empty(self._count, dtype=np.int32)
-        self._native.step(q, dt, v, following, flags)
+        if self._native.step(q, dt, v, following, flags):
+            for element in np.flatnonzero(flags < 0).tolist():
+                step = self._resumed(element, None if q is None else q[element], dt)
+                v[element], following[element], flags[element] = step.v, step.q, step.flag_bits
         return v, following, flags
+
+    def _resumed(self, element: int, q: Array | None, dt: float) -> Step:
+        """Return the step of an element that the extension has left to Python."""
+        controller = self._first
+        self._native.lend(element)
+        step = controller.resume(q, dt)
+        if self._native.take_back(element):
+            step.flag_bits |= 1 << Status.INVALID_INPUT
+        return step

@@ -2,7 +2,7 @@
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _NONE = np.zeros(0)
-
-
-class Stepper(NamedTuple):
-    """What takes common steps, and its number of each target that it may set."""
-
-    native: _native.Stepper
-    targets: dict[str, int]
 
 
 class Layout:
@@ -60,66 +53,83 @@ class Layout:
             self._parts[name] = (slice(begin, end), shape)
         self._rows, self._end = engine.rows, end
 
-    def part(self, record: _native.Record, name: str) -> Array:
-        """Return a copy of an array by its name: a view would keep a record alive that keeps it."""
+    def part(self, numbers: Array, name: str) -> Array:
+        """Return an array by its name."""
         place, shape = self._parts[name]
-        return np.frombuffer(memoryview(record))[place].reshape(shape).copy()
+        return numbers[place].reshape(shape)
 
-    def rows(self, record: _native.Record) -> tuple[KeptRows | None, Array, Array]:
+    def rows(self, numbers: Array) -> tuple[KeptRows | None, Array, Array]:
         """Return the rows of a step, if it had any, and the multipliers of rows and equalities."""
         rows, barriers = self._rows, self._rows.barriers
-        numbers = np.frombuffer(memoryview(record))[self._end :].copy()
-        counts = numbers[: len(barriers)].astype(int).tolist()
-        count = rows.speed_count + sum(counts)
-        end = len(barriers) + 4 * count
+        counts, numbers = np.split(numbers[self._end :], [len(barriers)])
+        count = rows.speed_count + int(counts.sum())
+        of_rows, of_equalities = np.split(numbers, [4 * count])
         if not count:
-            return None, _NONE, numbers[end:]
-        ids, lower, upper, multiplier = numbers[len(barriers) : end].reshape(4, -1)
+            return None, _NONE, of_equalities
+        ids, lower, upper, multiplier = of_rows.reshape(4, -1)
         blocks, first = [], rows.speed_count
-        for barrier, count in zip(barriers, counts, strict=True):
+        for barrier, count in zip(barriers, counts.astype(int).tolist(), strict=True):
             part = slice(first, first + count)
             blocks.append((barrier, ids[part].astype(np.intp), part))
             first += count
-        return KeptRows(rows.speeds, blocks, lower, upper), multiplier, numbers[end:]
+        return KeptRows(rows.speeds, blocks, lower, upper), multiplier, of_equalities
 
-    def surroundings(self, record: _native.Record) -> Kept:
+    def surroundings(self, numbers: Array) -> Kept:
         """Return the error of a step, and what it depended on beside q and v_prev."""
-        moving = self.part(record, "moving").astype(np.uint8).tobytes()
-        twists = (moving, self.part(record, "twists")) if 1 in moving else None
+        moving = self.part(numbers, "moving").astype(np.uint8).tobytes()
+        twists = (moving, self.part(numbers, "twists")) if 1 in moving else None
         obstacles = None
         if "mocap_pos" in self.kept:
             obstacles = (
-                self.part(record, "mocap_pos"),
-                self.part(record, "mocap_quat"),
-                self.part(record, "obstacle_twist"),
+                self.part(numbers, "mocap_pos"),
+                self.part(numbers, "mocap_quat"),
+                self.part(numbers, "obstacle_twist"),
             )
-        return Kept(self.part(record, "error"), self.part(record, "targets"), twists, obstacles)
+        return Kept(self.part(numbers, "error"), self.part(numbers, "targets"), twists, obstacles)
 
 
-class Record(_native.Record):
-    """A step of the extension's, of which the rest is made when it is asked for."""
+class Taken:
+    """What a step of the extension's was, made of its record when it is asked for."""
+
+    def __init__(self, record: _native.Record):
+        self._record, self._engine, self._numbers = record, record.engine, record.numbers
+
+    @property
+    def v(self) -> Array:
+        """See `Step.v`."""
+        return self._engine.layout.part(self._numbers, "v")
+
+    @property
+    def q(self) -> Array:
+        """See `Step.q`."""
+        return self._engine.layout.part(self._numbers, "q")
 
     @cached_property
     def solution(self) -> Solution:
         """What the solver returned, with its certificate."""
-        part = self.engine.layout.part
-        v, z, kkt = self.v[self.engine.problem.dofs], part(self, "z"), part(self, "kkt")
-        status = SolveStatus(self.ending)
-        _, y, w = self.engine.layout.rows(self)
-        return Solution(v, z, y, w, self.iterations, status, KKT(*kkt.tolist()))
+        layout, numbers, record = self._engine.layout, self._numbers, self._record
+        v, kkt = self.v[self._engine.problem.dofs], layout.part(numbers, "kkt")
+        z, (_, y, w) = layout.part(numbers, "z"), layout.rows(numbers)
+        status = SolveStatus(record.ending)
+        return Solution(v, z, y, w, record.iterations, status, KKT(*kkt.tolist()))
 
     @cached_property
     def moment(self) -> Moment:
         """What the step was computed from."""
-        layout = self.engine.layout
-        q, v_previous = layout.part(self, "from"), layout.part(self, "v_previous")
-        dt, at_rest = layout.part(self, "dt").item(), np.zeros_like(v_previous)
-        kept, rows = layout.surroundings(self), layout.rows(self)[0]
-        share = layout.part(self, "share").item()
-        return Moment(self.engine, q, v_previous, at_rest, dt, kept, rows, share)
+        layout, numbers = self._engine.layout, self._numbers
+        q, v_previous = layout.part(numbers, "from"), layout.part(numbers, "v_previous")
+        dt, at_rest = layout.part(numbers, "dt").item(), np.zeros_like(v_previous)
+        kept, rows = layout.surroundings(numbers), layout.rows(numbers)[0]
+        share = layout.part(numbers, "share").item()
+        return Moment(self._engine, q, v_previous, at_rest, dt, kept, rows, share)
 
 
-def build_stepper(engine: "NativeEngine", native: _native.Engine, q: Array, v: Array) -> Stepper:
+_native.set_step_type(Step, Taken)
+
+
+def build_stepper(
+    engine: "NativeEngine", native: _native.Engine, q: Array, v: Array
+) -> _native.Stepper:
     """Return what takes the common steps of a controller at q (nq,) that moves with v (nv,)."""
     problem, evaluation = engine.problem, engine.evaluation
     terms, moving = evaluation.terms, np.frombuffer(evaluation.moving, dtype=np.uint8)
@@ -127,8 +137,7 @@ def build_stepper(engine: "NativeEngine", native: _native.Engine, q: Array, v: A
     progress = Progress(problem, evaluation, engine.assembly)
     stepper = _native.Stepper(
         engine=native,
-        step=Step,
-        record=Record,
+        owner=engine,
         q=q,
         v=v,
         v_previous=evaluation.v_previous,
@@ -145,15 +154,15 @@ def build_stepper(engine: "NativeEngine", native: _native.Engine, q: Array, v: A
         targets=evaluation.targets,
         tolerance=progress.tolerance,
     )
-    targets = {}
     for term in terms:
         if term.target_kind in ("pose", "point"):
             index = evaluation.index[term.name]
-            targets[term.name] = stepper.add_target(
+            stepper.add_target(
+                term.name,
                 term.target_kind == "pose",
                 evaluation.target[term.name],
                 evaluation.twist[term.name],
                 evaluation.feedforward[evaluation.rows_of([term])],
                 moving[index : index + 1],
             )
-    return Stepper(stepper, targets)
+    return stepper
