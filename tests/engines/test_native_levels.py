@@ -16,7 +16,7 @@ from twins import twins
 
 from rmrc.control.batch import BatchController
 from rmrc.control.native import NativeEngine
-from rmrc.control.native_steps import Record
+from rmrc.control.native_steps import Taken
 
 ROUNDING = 1e-12
 """m or rad, and of J: sums of a few terms of the order of 1, in another order."""
@@ -119,7 +119,7 @@ def test_nearly_all_steps_end_in_the_extension(
     limits = {"velocity": {"default": 0.6}}
     tasks = [{**point, **task}, below]
     problem = rmrc.compile(config(PANDA, tasks, start=START, dt=0.005, limits=limits, **options))
-    taken = [isinstance(native._source, Record) for _, native in twins(problem, STEPS)]
+    taken = [isinstance(native._source, Taken) for _, native in twins(problem, STEPS)]
     assert sum(taken) >= TAKEN * STEPS
 
 
@@ -144,4 +144,4 @@ def test_a_tendon_with_a_path_stays_with_python(tmp_path: Path) -> None:
         engine = native.moment.engine
         assert isinstance(engine, NativeEngine)
         assert engine._foreign
-        assert not isinstance(native._source, Record)
+        assert not isinstance(native._source, Taken)
