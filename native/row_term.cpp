@@ -1,0 +1,153 @@
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "kernels.hpp"
+#include "lie.hpp"
+#include "tasks.hpp"
+
+namespace rmrc {
+
+RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
+                 const MuJoCo& mujoco, const Stack& stack)
+    : data_(std::move(data)),
+      mujoco_(mujoco),
+      stack_(stack),
+      dofs_(std::move(dofs)),
+      root_(std::move(root)),
+      counts_(std::any_of(root_.begin(), root_.end(), [](double value) { return value != 0.0; })) {
+  std::stable_partition(dofs_.begin(), dofs_.end(), [&](int dof) { return stack.place[dof] >= 0; });
+  for (const int dof : dofs_) {
+    if (stack.place[dof] >= 0) columns_.push_back(stack.place[dof]);
+  }
+  inside_ = static_cast<int>(columns_.size());
+  stride_ = (static_cast<int>(dofs_.size()) + 3) / 4 * 4;
+  jacobian_.resize(static_cast<std::size_t>(data_.rows) * stride_);
+  weighted_.resize(jacobian_.size());
+  wanted_.resize(data_.rows);
+  world_.resize(6 * static_cast<std::size_t>(stride_));
+}
+
+void RowTerm::evaluate() {
+  differentiate();
+  const int rows = data_.rows, count = static_cast<int>(dofs_.size());
+  for (int r = 0; r < rows; ++r) {
+    double* out = stack_.jacobian + (data_.first + r) * mujoco_.nv;
+    const double* own = jacobian_.data() + r * stride_;
+    for (int k = 0; k < count; ++k) out[dofs_[k]] = own[k];
+  }
+  weigh();
+}
+
+void RowTerm::weigh() {
+  const int rows = data_.rows;
+  const bool full = static_cast<int>(root_.size()) > rows;
+  for (int r = 0; r < rows; ++r) {
+    double* out = weighted_.data() + r * stride_;
+    if (!full) {
+      const double* own = jacobian_.data() + r * stride_;
+      for (int k = 0; k < stride_; k += 4) store(root_[r] * load(own + k), out + k);
+      continue;
+    }
+    std::fill_n(out, stride_, 0.0);
+    for (int s = 0; s < rows; ++s) {
+      add_scaled(root_[r * rows + s], jacobian_.data() + s * stride_, out, stride_);
+    }
+  }
+}
+
+// Return element r of S x.
+double RowTerm::weighed(int r, const double* x) const {
+  const int rows = data_.rows;
+  return static_cast<int>(root_.size()) > rows ? dot(root_.data() + r * rows, x, rows)
+                                               : root_[r] * x[r];
+}
+
+double RowTerm::weighed_square(const double* x) const {
+  double sum = 0.0;
+  for (int r = 0; r < data_.rows; ++r) {
+    const double value = weighed(r, x);
+    sum += value * value;
+  }
+  return sum;
+}
+
+void RowTerm::add_to(double* H, double* g, int n, const double* rate) {
+  if (!counts_) return;
+  for (int r = 0; r < data_.rows; ++r) wanted_[r] = weighed(r, rate + data_.first);
+  int r = 0;
+  for (; r + 6 <= data_.rows; r += 6) add_rows<6>(H, g, n, r);
+  for (; r + 3 <= data_.rows; r += 3) add_rows<3>(H, g, n, r);
+  for (; r < data_.rows; ++r) add_rows<1>(H, g, n, r);
+}
+
+template <int rows>
+void RowTerm::add_rows(double* H, double* g, int n, int first) const {
+  const double *W = weighted_.data() + first * stride_, *wanted = wanted_.data() + first;
+  for (int i = 0; i < inside_; ++i) {
+    double own[rows], pull = 0.0;
+    for (int r = 0; r < rows; ++r) {
+      own[r] = W[r * stride_ + i];
+      pull += own[r] * wanted[r];
+    }
+    g[columns_[i]] -= pull;
+    double* row = H + columns_[i] * n;
+    for (int k = 0; k <= i; k += 4) {
+      Quad sums = own[0] * load(W + k);
+      for (int r = 1; r < rows; ++r) sums += own[r] * load(W + r * stride_ + k);
+      if (k + 3 <= i && columns_[k + 3] == columns_[k] + 3) {
+        double* at = row + columns_[k];
+        store(load(at) + sums, at);
+        continue;
+      }
+      for (int l = k; l <= std::min(k + 3, i); ++l) row[columns_[l]] += sums[l - k];
+    }
+  }
+}
+
+void RowTerm::copy_row(int r, double* row) const {
+  for (int k = 0; k < inside_; ++k) row[columns_[k]] = weighted_[r * stride_ + k];
+}
+
+void RowTerm::multiply(const double* v, double* out) const {
+  for (int r = 0; r < data_.rows; ++r) {
+    double sum = 0.0;
+    for (int k = 0; k < inside_; ++k) sum += jacobian_[r * stride_ + k] * v[columns_[k]];
+    out[r] = sum;
+  }
+}
+
+void RowTerm::measure(double* measures) const {
+  measures[0] = measures[1] = std::sqrt(dot(error(), error(), data_.rows));
+}
+
+void RowTerm::turn(const Frame& frame, const double* T) {
+  double offset[3];
+  for (int i = 0; i < 3; ++i) offset[i] = frame.position[i] - frame.reference[i];
+  const int count = static_cast<int>(dofs_.size()), own = static_cast<int>(frame.dofs.size());
+  double* world = world_.data();
+  if (own < count) std::fill(world_.begin(), world_.end(), 0.0);
+  for (int k = 0, found = 0; k < count && found < own; ++k) {
+    if (own < count && !std::binary_search(frame.dofs.begin(), frame.dofs.end(), dofs_[k])) {
+      continue;
+    }
+    ++found;
+    const double* angular = mujoco_.cdof + 6 * dofs_[k];
+    double moved[3];
+    cross(angular, offset, moved);
+    for (int i = 0; i < 3; ++i) {
+      world[i * stride_ + k] = angular[3 + i] + moved[i];
+      world[(3 + i) * stride_ + k] = angular[i];
+    }
+  }
+  for (int r = 0; r < data_.rows; ++r, T += 6) {
+    double* out = jacobian_.data() + r * stride_;
+    for (int k = 0; k < stride_; k += 4) {
+      Quad sum = load(out + k);
+      for (int i = 0; i < 6; ++i) sum += T[i] * load(world + i * stride_ + k);
+      store(sum, out + k);
+    }
+  }
+}
+
+}  // namespace rmrc
