@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 class NativeBatch:
     """Takes the steps of `count` elements, on one thread for each controller.
 
-    A step that the extension cannot end, for its solution is not certified, or has to be corrected
-    or shortened, the first of the controllers goes on with, one element after the other.
+    A step that the extension cannot end, for its solution is not certified, the first of the
+    controllers goes on with, one element after the other.
     """
 
     def __init__(self, problem: Problem, controllers: list[Controller], count: int):
