@@ -31,9 +31,11 @@ else:
     NativeEngine = native.NativeEngine
 
 SAME = 1e-8 if int(mujoco.__version__.split(".")[0]) >= 4 else 1e-4
-"""Of v, relative to its largest element, and of rows: two solvers, and sums in another order. Before
-4.0 MuJoCo adds up its poses in another order than the native engine, and with the last bit of one
-the normal between boxes or meshes turns by 1e-5; what `hold` measures is held to all the same."""
+"""Of v, relative to its largest element, and of rows: two solvers, and sums in another order.
+
+Before 4.0 MuJoCo adds up its poses in another order than the native engine, and with the last bit
+of one the normal between boxes or meshes turns by 1e-5; what `hold` measures is held all the same.
+"""
 LEAST_RATE = 1e-3
 """rad/s or m/s: a v below it is compared as it is."""
 DEEP = 1e-6
