@@ -12,7 +12,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-_PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: ""}
+_PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: ""}
 
 
 def write_page(
@@ -60,13 +60,13 @@ def write_page(
 
 
 def quantity(value: float | None, unit: str) -> str:
-    """Return a number with its unit, three digits and a prefix from nano to none."""
+    """Return a number with its unit, three digits and a prefix from femto to none."""
     if value is None:
         return "–"
     if value == 0:
         return f"0 {unit}"
     value = float(f"{value:.3g}")
-    power = min(0, max(-9, 3 * floor(log10(abs(value)) / 3)))
+    power = min(0, max(-15, 3 * floor(log10(abs(value)) / 3)))
     return f"{value / 10.0**power:.3g} {_PREFIXES[power]}{unit}"
 
 
