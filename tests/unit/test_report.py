@@ -121,7 +121,8 @@ def test_the_shortest_runs_have_a_report(steps: int, tmp_path: Path) -> None:
         (0.9999, "m", "1 m"),
         (4.5e-7, "m", "450 nm"),
         (-2e-5, "s", "-20 µs"),
-        (1e-13, "m", "0.0001 nm"),
+        (1e-13, "m", "100 fm"),
+        (1e-17, "m", "0.01 fm"),
         (120.0, "s", "120 s"),
     ],
 )
