@@ -130,6 +130,9 @@ class Engine {
   /// Keep the last step, which is not finished, for who takes it up: how it has ended until now.
   void suspend(Ending ending) { suspended_ = ending; }
 
+  /// Forget the step that was suspended, if there is one.
+  void drop() { suspended_.reset(); }
+
   /// Return how a step that was suspended has ended, once, if it is this one.
   std::optional<Ending> resume(const double* q, double dt);
 

@@ -128,13 +128,13 @@ PyObject* step(PyObject* self, PyObject* const* arguments, std::size_t flagged,
   const Py_ssize_t count = PyVectorcall_NARGS(flagged);
   PyObject* sorted[4] = {};  // v and age are for controllers that nothing is quick for
   nb::object kept;
-  if (count < 1 || !sort(arguments + 1, count - 1, keywords, 4, names.step, sorted)) {
+  BoundStepper* quick = count < 1 ? nullptr : quick_of(arguments[0], kept);
+  if (quick == nullptr) return in_python(self, arguments, flagged, keywords);
+  if (!set_deadline(*quick)) return nullptr;
+  if (!sort(arguments + 1, count - 1, keywords, 4, names.step, sorted)) {
     return in_python(self, arguments, flagged, keywords);
   }
   const auto [q, dt, v, age] = sorted;
-  BoundStepper* quick = quick_of(arguments[0], kept);
-  if (quick == nullptr) return in_python(self, arguments, flagged, keywords);
-  if (!set_deadline(*quick)) return nullptr;
   double seconds = quick->dt();
   if (given(dt)) {
     if (!PyFloat_CheckExact(dt)) return in_python(self, arguments, flagged, keywords);
@@ -149,7 +149,9 @@ PyObject* step(PyObject* self, PyObject* const* arguments, std::size_t flagged,
   if (given(q) && measured == nullptr) return in_python(self, arguments, flagged, keywords);
   if (!stepper.step(measured, seconds, summary)) {
     if (stepper.left()) stepper.suspend();
-    return in_python(self, arguments, flagged, keywords);
+    PyObject* made = in_python(self, arguments, flagged, keywords);
+    stepper.drop();  // also where an interrupt came first: the next step may be of another world
+    return made;
   }
   quick->tell();
   if (!note(arguments[0], summary)) return nullptr;
@@ -187,7 +189,9 @@ PyObject* said(PyObject* self, void* name) {
 
 PyTypeObject* make_method_type() {
   static char doc[] = "__doc__", name[] = "__name__", full_name[] = "__qualname__";
+  static char annotations[] = "__annotations__";
   static PyGetSetDef attributes[] = {{"__doc__", said, nullptr, nullptr, doc},
+                                     {"__annotations__", said, nullptr, nullptr, annotations},
                                      {"__name__", said, nullptr, nullptr, name},
                                      {"__qualname__", said, nullptr, nullptr, full_name},
                                      {}};

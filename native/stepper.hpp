@@ -58,6 +58,9 @@ class Stepper {
   /// Have the step that was left taken up by the very engine, in place of solving it once more.
   void suspend() { engine_.suspend(ending_); }
 
+  /// Have it taken up no more.
+  void drop() { engine_.drop(); }
+
   /// Doubles that the last step is written to: residuals (3), dt, the share, v, the configuration v
   /// leads to,
   /// the one it starts from, v_previous, z, the arrays kept, and 1 for each target that moves; then

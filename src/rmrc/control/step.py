@@ -181,6 +181,10 @@ class Step:
         self.flag_bits = flag_bits
         """The statuses that hold, bit k for the status of value k."""
 
+    def __copy__(self) -> "Step":
+        """Return the step itself, which nobody changes."""
+        return self
+
     @property
     def v(self) -> Array:
         """Joint velocity to command (nv,), rad/s or m/s; always finite and inside the box."""
