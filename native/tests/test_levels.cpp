@@ -2,33 +2,18 @@
 // limits, preserved directions, and a loop's Jacobian; without a call for memory.
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
-#include <new>
 #include <random>
 #include <vector>
 
+#include "allocations.hpp"
 #include "cascade.hpp"
 #include "equalities.hpp"
 #include "loop.hpp"
-
-namespace {
-
-std::atomic<long> allocations{0};
-
-}  // namespace
-
-void* operator new(std::size_t size) {
-  ++allocations;
-  if (void* memory = std::malloc(size)) return memory;
-  throw std::bad_alloc();
-}
-void operator delete(void* memory) noexcept { std::free(memory); }
-void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 
 namespace {
 
