@@ -138,11 +138,37 @@ class NativeEngine(PythonEngine):
         self.behind = False
         """Whether the extension has taken a step whose rows have not been read."""
         model, data, evaluation = problem.model, self.evaluation.data, self.evaluation
-        assembly, qp, box = self._assembly, self._assembly.qp, problem.box
         self._moves = dofs_of_bodies(model)
         self._moving = np.frombuffer(evaluation.moving, dtype=np.uint8)
         self._cdof = np.zeros((model.nv, 6))
-        self._native = _native.Engine(
+        self._native = self._build()
+        rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
+        watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
+        self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
+        for term in evaluation.terms:
+            self._add(term, rows)
+        self._adapt()
+        self._foreign = [
+            evaluate
+            for kind, evaluate in evaluation.evaluators.items()
+            if kind not in _JOINT and not issubclass(kind, rows)
+        ]
+        hard = any(term.hard for term in evaluation.terms)
+        # Tasks and limits of mink's come behind what C++ has assembled.
+        self._alone = not (problem.mink_tasks or problem.mink_limits)
+        self._held = hold(self._native, problem, evaluation) if hard else None
+        if not self._box_alone:
+            self._connect()
+        if problem.cascaded:
+            descend(self._native, problem, evaluation, self._assembly)
+        self.layout = Layout(self)
+        """Where the numbers of a step stand in what the extension has noted of it."""
+
+    def _build(self) -> _native.Engine:
+        """Return the extension's engine, in the arrays of this one."""
+        problem, evaluation, assembly = self.problem, self.evaluation, self._assembly
+        model, data, qp, box = problem.model, evaluation.data, assembly.qp, problem.box
+        return _native.Engine(
             functions=addresses(),
             model=model._address,
             data=data._address,
@@ -177,27 +203,6 @@ class NativeEngine(PythonEngine):
             ub=qp.ub,
             max_iter=problem.config.solver.max_iter or MOST_CHANGES,
         )
-        rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
-        watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
-        self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
-        for term in evaluation.terms:
-            self._add(term, rows)
-        self._adapt()
-        self._foreign = [
-            evaluate
-            for kind, evaluate in evaluation.evaluators.items()
-            if kind not in _JOINT and not issubclass(kind, rows)
-        ]
-        hard = any(term.hard for term in evaluation.terms)
-        # Tasks and limits of mink's come behind what C++ has assembled.
-        self._alone = not (problem.mink_tasks or problem.mink_limits)
-        self._held = hold(self._native, problem, evaluation) if hard else None
-        if not self._box_alone:
-            self._connect()
-        if problem.cascaded:
-            descend(self._native, problem, evaluation, assembly)
-        self.layout = Layout(self)
-        """Where the numbers of a step stand in what the extension has noted of it."""
 
     def _new_rows(self) -> NativeRows:
         return NativeRows(self.problem, self.evaluation)
@@ -263,12 +268,9 @@ class NativeEngine(PythonEngine):
         )
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:
-        model, data = self.problem.model, self.evaluation.data
-        body = frame.body(model)
-        position, rotation = frame.views(data)
-        reference = data.xpos[model.body_rootid[body]]
-        dofs = np.flatnonzero(self._moves[body]).tolist()
-        return _native.Frame(position, rotation, reference, dofs)
+        return native_kinematics.frame_of(
+            self.problem.model, self.evaluation.data, self._moves, frame
+        )
 
     def _masses(
         self, term: ComTerm

@@ -46,6 +46,23 @@ _SAME = mujoco.mjtSameFrame
 _SAME_ROTATION = (_SAME.mjSAMEFRAME_BODY, _SAME.mjSAMEFRAME_BODYROT)
 
 
+def frame_of(
+    model: mujoco.MjModel, data: mujoco.MjData, moves: NDArray[np.bool_], frame: FrameHandle
+) -> _native.Frame:
+    """Return where a frame stands, the point its axes refer to, and the dofs that move it.
+
+    Args:
+        model: The model.
+        data: Where the poses are.
+        moves: Which dofs move each body (nbody, nv).
+        frame: The frame.
+    """
+    body = frame.body(model)
+    position, rotation = frame.views(data)
+    reference = data.xpos[model.body_rootid[body]]
+    return _native.Frame(position, rotation, reference, np.flatnonzero(moves[body]).tolist())
+
+
 class Watched:
     """What is looked at: bodies, geoms, sites, and the subtrees whose centre of mass is."""
 

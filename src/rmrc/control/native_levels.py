@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
+from rmrc.control.native_kinematics import frame_of
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.problem import Problem
@@ -100,10 +101,7 @@ class LoopParts:
 
     def _anchorage(self, body: int, point: Array, turn: Array | list[float]) -> Anchorage:
         model, data = self._model, self._data
-        position, rotation = FrameHandle("body", int(body)).views(data)
-        reference = data.xpos[model.body_rootid[body]]
-        dofs = np.flatnonzero(self._moves[body]).tolist()
-        frame = _native.Frame(position, rotation, reference, dofs)
+        frame = frame_of(model, data, self._moves, FrameHandle("body", int(body)))
         return frame, data.xquat[body], list(map(float, point)), list(map(float, turn))
 
     def _combination(self, i: int, which: int) -> Combination:
