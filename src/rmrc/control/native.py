@@ -26,7 +26,7 @@ from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.centering import CenteringTerm
 from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.coupling import CouplingTerm
-from rmrc.problem.tasks.frame import FARTHEST, FrameTerm
+from rmrc.problem.tasks.frame import FrameTerm
 from rmrc.problem.tasks.look_at import LookAtTerm
 from rmrc.problem.tasks.loop import LoopTerm
 from rmrc.problem.tasks.posture import PostureTerm
@@ -231,7 +231,7 @@ class NativeEngine(PythonEngine):
                 if term.axes == "world":
                     native.add_world_frame(rows, self._frame(term.frame))
                 else:
-                    native.add_frame(rows, self._frame(term.frame), min(term.clamp[0], FARTHEST))
+                    native.add_frame(rows, self._frame(term.frame), min(term.clamp[0], 1e300))
             case RelativeFrameTerm():
                 native.add_relative(rows, self._frame(term.frame), self._frame(term.root))
             case LookAtTerm():

@@ -88,6 +88,16 @@ class FrameHandle:
         owners = {"site": model.site_bodyid, "geom": model.geom_bodyid}
         return self.id if self.kind == "body" else int(owners[self.kind][self.id])
 
+    def velocities(self, model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+        """Return the velocities of its origin and its angular ones (3, nv), in the world's axes."""
+        linear, angular = np.zeros((2, 3, model.nv))
+        self.jacobian(model, data, linear, angular, self.id)
+        return linear, angular
+
+    def dofs(self, model: mujoco.MjModel) -> list[int]:
+        """Return the dofs that move it, from the world to it."""
+        return dofs_before(model, self.body(model))
+
     def pose_at(self, model: mujoco.MjModel, q: Array) -> Array:
         """Return the frame's pose (7,), wxyz + xyz, at a configuration (nq,)."""
         data = mujoco.MjData(model)
@@ -95,6 +105,16 @@ class FrameHandle:
         mujoco.mj_kinematics(model, data)
         position, matrix = self.views(data)
         return np.array(pose_of(matrix, position))
+
+
+def dofs_before(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return the dofs that move a body, from the world to it."""
+    found: list[int] = []
+    while body:
+        first = int(model.body_dofadr[body])
+        found = [*range(first, first + int(model.body_dofnum[body])), *found]
+        body = int(model.body_parentid[body])
+    return found
 
 
 def resolve(model: mujoco.MjModel, frame: Frame) -> FrameHandle:

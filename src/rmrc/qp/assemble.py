@@ -11,6 +11,7 @@ from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.cascade import Level
+from rmrc.qp.curvature import Curvature
 from rmrc.qp.damping import Damping, largest_square
 from rmrc.qp.equalities import Equalities
 from rmrc.qp.program import QP
@@ -26,6 +27,8 @@ def square_root(weight: Array) -> Array:
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
+CURVED = True
+def XDT(dt): return dt
 LEAST_DAMPING = 1e-12
 """λ² at a level, where the configuration has less: it keeps a level's program definite."""
 
@@ -80,6 +83,7 @@ class Assembly:
         ]
         self.constant = self._constant_hessian()
         """A + λ₀²I + Σ B of the joint terms (n, n), what no configuration changes."""
+        self.curvature = Curvature(problem, evaluation, self.leveled)
         self.adaptive = Damping(problem, evaluation, self._weigh, self.unit)
         soft = [term for term in evaluation.terms if not term.hard]
         self.leveled_terms = [
@@ -181,12 +185,17 @@ class Assembly:
             length = math.sqrt(error.dot(error))
             if length > longest:
                 rate *= longest / length
+        if CURVED:
+            self.curvature.update(self.rate)
         if self._fed or 1 in evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
         weighted, unwanted = self._weigh(), self._weigh_rate()
         columns = weighted if self._all else weighted[:, self._dofs]
         columns.T.dot(columns, qp.H)  # Σ JᵀBJ
         qp.H += self.constant  # + A + λ₀²I + Σ B
+        if CURVED:
+            for sums in self.curvature.levels.values():
+                qp.H.flat[:: self._dofs.size + 1] += XDT(dt) * sums  # + X
         if self.adaptive.adapts:
             qp.H.flat[:: self._dofs.size + 1] += self.unit * self.adaptive.update()  # + λ_a²I
         unwanted.dot(columns, qp.g)  # −Σ JᵀB ẋ

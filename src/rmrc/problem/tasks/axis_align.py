@@ -1,15 +1,18 @@
 """The `axis_align` task: an axis of a frame points along a direction of the world."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mink
 import mujoco
 import numpy as np
 
 from rmrc.config.base import Direction
-from rmrc.problem.tasks.base import Array, TargetKind
+from rmrc.problem.tasks.base import Array, Pull, TargetKind
 from rmrc.problem.tasks.pointing import PointingTask, PointingTerm
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
 
 
 class AxisAlignTask(PointingTask):
@@ -43,6 +46,12 @@ class AxisAlignTerm(PointingTerm):
         """Set the target direction."""
         assert isinstance(task, mink.AxisAlignTask)
         task.set_target(target)
+
+    def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
+        """Return the torque t × R pulled."""
+        turned = self.frame.views(evaluation.data)[1].reshape(3, 3) @ pulled
+        velocities = self.frame.velocities(evaluation.model, evaluation.data)
+        return Pull(*velocities, np.zeros(3), np.cross(evaluation.target[self.name], turned))
 
     def feed_forward(
         self, configuration: mink.Configuration, error: Array, target: Array, twist: Array

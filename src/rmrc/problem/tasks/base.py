@@ -1,10 +1,10 @@
 """What every task is made of: its model in the configuration and its term in the problem."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -161,10 +161,60 @@ class Term(ABC):
         """Return ẋ (rows,) at e (rows,) without what J v is at right angles to by definition."""
         return rate
 
+    bends: ClassVar[bool] = False
+    """Whether e bends with the joints while it draws the robot to a target: `way` and `pull` say how."""
+
+    def way(self, model: mujoco.MjModel) -> "Way":
+        """Return the dofs that move the frame, in their order."""
+        raise NotImplementedError
+
+    def pull(self, evaluation: "Evaluation", pulled: Array) -> "Pull":
+        """Return what the task does to its frame at B ẋ (rows,), at the present evaluation."""
+        raise NotImplementedError
+
     @classmethod
     @abstractmethod
     def evaluator(cls, terms: "Sequence[Term]", evaluation: "Evaluation") -> "Evaluator":
         """Return what evaluates all the terms of this class in a problem."""
+
+
+class Way(NamedTuple):
+    """The dofs that move something, in an order in which none comes before what it is moved by."""
+
+    dofs: list[int]
+    before: list[int]
+    """The place in `dofs` of the one that comes right before each, −1 for none."""
+
+    @classmethod
+    def chain(cls, dofs: list[int]) -> "Way":
+        """Return dofs one after the other."""
+        return cls(dofs, list(range(-1, len(dofs) - 1)))
+
+    def within(self, dofs: Collection[int]) -> "Way":
+        """Return the same without the dofs that are not among these."""
+        kept, before, place = [], [], []
+        for dof, last in zip(self.dofs, self.before, strict=True):
+            after = place[last] if last >= 0 else -1
+            if dof in dofs:
+                kept.append(dof)
+                before.append(after)
+                after = len(kept) - 1
+            place.append(after)
+        return Way(kept, before)
+
+
+class Pull(NamedTuple):
+    """A force and a torque on a frame, and how the dofs move it, in the world's axes.
+
+    Jᵀ(B ẋ) is linearᵀ force + angularᵀ torque.
+    """
+
+    linear: Array
+    """Velocities of the frame's origin (3, nv)."""
+    angular: Array
+    """Its angular velocities (3, nv)."""
+    force: Array
+    torque: Array
 
 
 class RowlessTerm(Term):

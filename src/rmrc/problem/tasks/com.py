@@ -9,13 +9,16 @@ import numpy as np
 
 from rmrc.config.base import NameOf, Positive
 from rmrc.problem.frames import find
+from rmrc.problem.limits.extents import dofs_of_bodies
 from rmrc.problem.tasks.base import (
     Array,
     FieldError,
     GainedTask,
     HardTask,
+    Pull,
     TargetKind,
     Term,
+    Way,
     WeightedTask,
     weight_array,
 )
@@ -56,6 +59,13 @@ class ComTask(HardTask, GainedTask, WeightedTask):
         )
 
 
+def body_is_in(model: mujoco.MjModel, body: int, root: int) -> bool:
+    """Return whether a body is in the subtree of another."""
+    while body > root:
+        body = int(model.body_parentid[body])
+    return body == root
+
+
 def robot_roots(model: mujoco.MjModel) -> tuple[int, ...]:
     """Return the children of the world that have joints in their subtree: the robots.
 
@@ -83,6 +93,22 @@ class ComTerm(Term):
     def clamps(self) -> tuple[tuple[slice, float], ...]:
         """The whole error, where it has a clamp."""
         return ((slice(3), self.clamp),) if self.clamp < np.inf else ()
+
+    bends: ClassVar[bool] = True
+
+    def way(self, model: mujoco.MjModel) -> Way:
+        """Return the dofs that move a part of the mass, as a tree."""
+        roots = [root for root, share in self.shares if share]
+        moves = dofs_of_bodies(model)
+        above = moves[roots].any(axis=0)
+        inside = [any(body_is_in(model, body, root) for root in roots) for body in model.dof_bodyid]
+        everything = Way(list(range(model.nv)), model.dof_parentid.tolist())
+        return everything.within(set(np.flatnonzero(above | inside).tolist()))
+
+    def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
+        """Return the force on the centre of mass; u_j takes no torque."""
+        linear = evaluation.jacobian[evaluation.rows_of([self])]
+        return Pull(linear, np.zeros_like(linear), pulled, np.zeros(3))
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """The `frame` task: the pose of a site, body or geom follows a target pose."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,14 +12,16 @@ from pydantic import AfterValidator, ValidationInfo, field_validator
 
 from rmrc.config.base import Frame, Model, Positive, Weight
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.lie import inverse_multiply, jlog, pose_of, rminus
+from rmrc.problem.lie import inverse_left_jacobian, inverse_multiply, log_motion, pose_of
 from rmrc.problem.tasks.base import (
     Array,
     GainedTask,
     HardTask,
     Preserve,
+    Pull,
     TargetKind,
     Term,
+    Way,
     weight_array,
 )
 
@@ -35,10 +36,6 @@ def _block_weight(weight: object) -> object:
 
 
 BlockWeight = Annotated[Weight, AfterValidator(_block_weight)]
-
-
-FARTHEST = 100.0
-"""Distance in m from which on a target counts as being there in the Jacobian of the error."""
 
 
 class PoseWeight(Model):
@@ -165,13 +162,33 @@ class PoseTerm(Term):
 class FrameTerm(PoseTerm):
     """Rows of a `frame` task for the frame b and the target t.
 
-    Along the body's axes e = log(T_bt) = −log(T_tb) and J = Jlog(T_tb) J_b, which is mink's
+    Along the body's axes e = log(T_bt) = −log(T_tb) and J = Jl⁻¹(e) J_b, which is mink's
     FrameTask with both signs turned. Along the world's e = [p_t − p_b; φ] with φ = log(R_t R_bᵀ),
     and J = [J_p; Jr⁻¹(φ) J_ω].
     """
 
+    bends: ClassVar[bool] = True
+
     frame: FrameHandle
     axes: Literal["body", "world"]
+
+    def way(self, model: mujoco.MjModel) -> Way:
+        """Return the dofs on the way to the frame."""
+        return Way.chain(self.frame.dofs(model))
+
+    def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
+        """Return the force and the torque of [position; orientation] at the frame's origin."""
+        position, matrix = self.frame.views(evaluation.data)
+        target, pose = evaluation.target[self.name], np.array(pose_of(matrix, position))
+        velocities = self.frame.velocities(evaluation.model, evaluation.data)
+        if self.axes == "world":
+            error, angular = np.zeros(6), np.zeros((3, 3))
+            _world_error(target, pose, error, angular)
+            return Pull(*velocities, pulled[:3], angular.T @ pulled[3:])
+        error = log_motion(inverse_multiply(pose, target))
+        wrench = inverse_left_jacobian(error).T @ pulled
+        rotation = matrix.reshape(3, 3)
+        return Pull(*velocities, rotation @ wrench[:3], rotation @ wrench[3:])
 
     def distances(self, error: Array) -> Array:
         """Return the distance in m and the angle in rad."""
@@ -215,8 +232,7 @@ class _FrameEvaluator:
                 self._in_world.append((*shared, self._transform[k, 3:, 3:]))
             else:
                 halves = self._transform[k].reshape(12, 3)
-                far = min(term.clamp[0], FARTHEST)
-                self._body.append((*shared, matrix.reshape(3, 3).T, halves, far))
+                self._body.append((*shared, matrix.reshape(3, 3).T, halves))
         self._feeds = [
             (
                 k,
@@ -231,15 +247,12 @@ class _FrameEvaluator:
 
     def __call__(self) -> None:
         model, data = self._model, self._data
-        for jac, i, jp, jr, matrix, position, target, error, turned, halves, far in self._body:
+        for jac, i, jp, jr, matrix, position, target, error, turned, halves in self._body:
             jac(model, data, jp, jr, i)
             pose = pose_of(matrix, position)
-            error[:] = rminus(target, pose)
-            apart = inverse_multiply(target, pose)
-            if error.dot(error) > far * far:
-                apart = _nearer(apart, far)
-            # Jlog diag(Rᵀ, Rᵀ): each half of a row of Jlog is turned by Rᵀ.
-            jlog(apart).reshape(12, 3).dot(turned, halves)
+            error[:] = log_motion(inverse_multiply(pose, target))
+            # Jl⁻¹ diag(Rᵀ, Rᵀ): each half of a row of Jl⁻¹ is turned by Rᵀ.
+            inverse_left_jacobian(error).reshape(12, 3).dot(turned, halves)
         for jac, i, jp, jr, matrix, position, target, error, angular in self._in_world:
             jac(model, data, jp, jr, i)
             _world_error(target, pose_of(matrix, position), error, angular)
@@ -268,20 +281,6 @@ class _FrameEvaluator:
                 self._feedforward[k] = self._transform[k] @ rigid
 
 
-def _nearer(apart: Array, far: float) -> Array:
-    """Return a pose (7,) with its position no further away than `far`.
-
-    The Jacobian of the logarithm grows with the distance: that of a target which the error is
-    clamped to is the one to take.
-    """
-    length = math.sqrt(float(apart[4:] @ apart[4:]))
-    if length <= far:
-        return apart
-    nearer = np.array(apart)
-    nearer[4:] *= far / length
-    return nearer
-
-
 def _world_error(target: Array, pose: Array, error: Array, angular: Array) -> None:
     """Write e = [p_t − p_b; φ] and Jr⁻¹(φ) for the rotation φ = log(R_t R_bᵀ)."""
     np.subtract(target[4:], pose[4:], out=error[:3])
@@ -289,4 +288,5 @@ def _world_error(target: Array, pose: Array, error: Array, angular: Array) -> No
     mujoco.mju_negQuat(turn[:4], pose[:4])
     mujoco.mju_mulQuat(turn[:4], target[:4], turn[:4].copy())
     mujoco.mju_quat2Vel(error[3:], turn[:4], 1.0)
-    angular[:] = jlog(turn)[3:, 3:]
+    # Jr⁻¹(φ) = Jl⁻¹(−φ)
+    angular[:] = inverse_left_jacobian(np.concatenate([np.zeros(3), -error[3:]]))[3:, 3:]

@@ -1,15 +1,21 @@
 """The `look_at` task: an axis of a frame points at a target point."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mink
 import mujoco
 import numpy as np
 
 from rmrc.config.base import Vector3
-from rmrc.problem.tasks.base import Array, TargetKind
+from rmrc.problem.tasks.base import Array, Pull, TargetKind
 from rmrc.problem.tasks.pointing import PointingTask, PointingTerm
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
+
+LEAST_DISTANCE = 1e-10
+"""A target nearer than this, m, has no direction; mink's own threshold."""
 
 
 class LookAtTask(PointingTask):
@@ -42,6 +48,17 @@ class LookAtTerm(PointingTerm):
         """Set the target point."""
         assert isinstance(task, mink.LookAtTask)
         task.set_target(target)
+
+    def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
+        """Return (I − d̂ d̂ᵀ) R pulled / n on the frame's origin and the torque d̂ × R pulled."""
+        position, matrix = self.frame.views(evaluation.data)
+        turned = matrix.reshape(3, 3) @ pulled
+        away = evaluation.target[self.name] - position
+        distance = max(float(np.linalg.norm(away)), LEAST_DISTANCE)
+        direction = away / distance
+        force = (turned - direction * (direction @ turned)) / distance
+        velocities = self.frame.velocities(evaluation.model, evaluation.data)
+        return Pull(*velocities, force, np.cross(direction, turned))
 
     def feed_forward(
         self, configuration: mink.Configuration, error: Array, target: Array, twist: Array

@@ -9,7 +9,7 @@ import numpy as np
 
 from rmrc.config.base import Direction, Frame, NonNegative
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.tasks.base import Array, GainedTask, HardTask, weight_array
+from rmrc.problem.tasks.base import Array, GainedTask, HardTask, Way, weight_array
 from rmrc.problem.tasks.mink_tasks import MinkTerm
 
 
@@ -39,9 +39,14 @@ class PointingTerm(MinkTerm):
     """
 
     decisive: ClassVar[bool] = True
+    bends: ClassVar[bool] = True
 
     frame: FrameHandle
     axis: Array
+
+    def way(self, model: mujoco.MjModel) -> Way:
+        """Return the dofs on the way to the frame."""
+        return Way.chain(self.frame.dofs(model))
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -1,17 +1,28 @@
 """The `relative_frame` task: one frame keeps a pose relative to another that may move too."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mink
 import mujoco
+import numpy as np
 
 from rmrc.config.base import Frame
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.lie import adjoint, inverse, inverse_multiply, jlog, turn_back
-from rmrc.problem.tasks.base import Array
+from rmrc.problem.lie import (
+    adjoint,
+    inverse,
+    inverse_left_jacobian,
+    inverse_multiply,
+    jlog,
+    turn_back,
+)
+from rmrc.problem.tasks.base import Array, Pull, Way
 from rmrc.problem.tasks.frame import PoseTask, PoseTerm
 from rmrc.problem.tasks.mink_tasks import MinkTerm
+
+if TYPE_CHECKING:
+    from rmrc.problem.evaluation import Evaluation
 
 
 class RelativeFrameTask(PoseTask):
@@ -46,8 +57,28 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
     target t in the root's coordinates.
     """
 
+    bends: ClassVar[bool] = True
+
     frame: FrameHandle
     root: FrameHandle
+
+    def way(self, model: mujoco.MjModel) -> Way:
+        """Return the dofs on the way from the root to the frame, without those that move both."""
+        frame, root = self.frame.dofs(model), self.root.dofs(model)
+        back = [dof for dof in reversed(root) if dof not in frame]
+        return Way.chain(back + [dof for dof in frame if dof not in root])
+
+    def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
+        """Return the force and the torque at the frame's origin, against the root."""
+        model, data = evaluation.model, evaluation.data
+        position, matrix = self.frame.views(data)
+        linear, angular = self.frame.velocities(model, data)
+        origin, turning = self.root.velocities(model, data)
+        lever = position - self.root.views(data)[0]
+        linear = linear - origin - np.cross(turning.T, lever).T
+        rotation = matrix.reshape(3, 3)
+        wrench = inverse_left_jacobian(evaluation.error_of(evaluation.error, self)).T @ pulled
+        return Pull(linear, angular - turning, rotation @ wrench[:3], rotation @ wrench[3:])
 
     def task(self) -> mink.RelativeFrameTask:
         """Return mink's task with unit cost and gain."""

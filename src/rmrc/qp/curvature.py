@@ -1,0 +1,77 @@
+"""The curvature of the tasks, in the program as a diagonal: what lets the robot rest out of reach."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rmrc.problem.configuration import turning_dofs
+from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term, Way
+
+Array = NDArray[np.float64]
+
+
+class Curvature:
+    """X, a diagonal with X ⪰ dt Σ K C⁺ for the curvature C = −Σ_r (B e)_r ∇²f_r of each task.
+
+    Gauss and Newton's JᵀBJ leaves C out, and near full stretch there is nothing else. With X the
+    optimum is a step of the linearly implicit Euler method on the flow of V = Σ K ½ eᵀBe, which
+    stays where it is stable at any stiffness: V does not rise, and the robot comes to rest.
+
+    A task pulls its frame with the force f and the torque τ, JᵀBKe = v_jᵀf + ω_jᵀτ for each dof j,
+    where v_j and ω_j are the frame's velocities at its unit rate. For i before j on the way from
+    the world to the frame
+
+        C_ij = −ω_i · u_j  with  u_j = v_j × f + ½ ω_j × τ,
+
+    which is at most ‖u_j‖ for a hinge i and 0 for a slide, and row sums bound what is symmetric
+    (Gershgorin):
+
+        X_ii = dt (Σ_{j at or after i} ‖u_j‖ + Σ_{j before i} ‖u_i‖).
+
+    Where i is a hinge and j a slide their rates have two units: the two elements count as ‖u_j‖ L
+    and ‖u_j‖/L, with L the model's extent. What the logarithm of a rotation or a unit vector bends
+    beside this is inside the bound, as `tests/unit/test_curvature.py` holds.
+    """
+
+    def __init__(
+        self, problem: Problem, evaluation: Evaluation, leveled: Callable[[Term], Array]
+    ):
+        self._evaluation = evaluation
+        model, dofs = problem.model, problem.dofs.tolist()
+        self._column = {dof: k for k, dof in enumerate(dofs)}
+        self._hinge = turning_dofs(model)
+        self._unit = np.where(self._hinge, 1.0, model.stat.extent)
+        self._terms = [
+            (term, leveled(term), term.way(model).within(dofs))
+            for term in evaluation.terms
+            if term.bends and not term.hard and not term.preserve and term.weight.any()
+        ]
+        self.levels = {term.level: np.zeros(len(dofs)) for term, _, _ in self._terms}
+        """Σ K |C| (n,) of each level at the last update: X without its dt, in the program's unit."""
+
+    def update(self, rate: Array) -> None:
+        """Find the row sums at ẋ without its feed-forward, K clamp(e) (rows,) of all terms."""
+        for sums in self.levels.values():
+            sums[:] = 0.0
+        for term, weight, way in self._terms:
+            part = self._evaluation.error_of(rate, term)
+            pulled = weight * part if weight.ndim == 1 else weight @ part
+            linear, angular, force, torque = term.pull(self._evaluation, pulled)
+            moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
+            self._add_row_sums(np.linalg.norm(moments, axis=1), way, self.levels[term.level])
+
+    def _add_row_sums(self, moment: Array, way: Way, sums: Array) -> None:
+        """Add the sums over the rows of |C| for ‖u_j‖ (nv,), from the frame back to the world."""
+        hinges, after = np.zeros(len(way.dofs)), np.zeros(len(way.dofs))
+        for k, (dof, before) in enumerate(zip(way.dofs, way.before, strict=True)):
+            hinges[k] = hinges[before] + self._hinge[way.dofs[before]] if before >= 0 else 0.0
+            sums[self._column[dof]] += hinges[k] * moment[dof] / self._unit[dof]
+        for k, (dof, before) in reversed(list(enumerate(zip(way.dofs, way.before, strict=True)))):
+            after[k] += moment[dof] * self._unit[dof]
+            if self._hinge[dof]:
+                sums[self._column[dof]] += after[k]
+            if before >= 0:
+                after[before] += after[k]
