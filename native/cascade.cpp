@@ -162,20 +162,16 @@ bool Cascade::nearest(const Level& level, QPSolver& solver) {
   }
   if (level.rows > 0 && square <= rank_share * rank_share) return true;
   std::fill_n(H_.begin(), count * count, 0.0);
-  reduce(v_.data(), g_.data());
-  if (level.metric == nullptr) {
+  if (level.metric == nullptr && level.curvature == nullptr) {
+    reduce(v_.data(), g_.data());
     for (int i = 0; i < count; ++i) H_[i * count + i] = level.damping;
     for (int i = 0; i < count; ++i) g_[i] *= level.damping;
   } else {
-    // step_ holds A times a vector of the basis, and then A v.
     for (int i = 0; i < count; ++i) {
-      for (int j = 0; j < size_; ++j) {
-        const double* own = level.metric + j * size_;
-        step_[j] = whole_ ? own[i] : dot(own, free_.data() + i * size_, size_);
-      }
+      weigh(level, whole_ ? nullptr : free_.data() + i * size_, i);
       reduce(step_.data(), H_.data() + i * count);
     }
-    for (int j = 0; j < size_; ++j) step_[j] = dot(level.metric + j * size_, v_.data(), size_);
+    weigh(level, v_.data(), -1);
     reduce(step_.data(), g_.data());
   }
   for (int r = 0; r < level.rows; ++r) {
@@ -192,6 +188,20 @@ bool Cascade::nearest(const Level& level, QPSolver& solver) {
     std::copy_n(reach_.data() + r * count, count, null_space_.row(r));
   }
   return keep_free(level.rows);
+}
+
+// step_ = (A + X) x of a level, or its column if x is null.
+void Cascade::weigh(const Level& level, const double* x, int column) {
+  for (int j = 0; j < size_; ++j) {
+    const double own = x == nullptr ? (j == column ? 1.0 : 0.0) : x[j];
+    if (level.metric == nullptr) {
+      step_[j] = level.damping * own;
+    } else {
+      const double* row = level.metric + j * size_;
+      step_[j] = x == nullptr ? row[column] : dot(row, x, size_);
+    }
+    if (level.curvature != nullptr) step_[j] += level.curvature[j] * own;
+  }
 }
 
 // Write the limits of v + N z: as they are while all is free, as unit rows afterwards. Rounding

@@ -19,6 +19,7 @@ struct Level {
   const double* rate;    // S ẋ (rows,)
   const double* metric;  // added to WᵀW (n, n), or null for a multiple of the unit matrix
   double damping;        // that multiple
+  const double* curvature;  // X of the level's tasks (n,), added as well; null for none
   int directed;
   const double* jacobian;   // J (directed, n) of the tasks that move along ẋ
   const double* direction;  // ẋ (directed,) of theirs
@@ -66,6 +67,7 @@ class Cascade {
   bool enter();
   bool fastest(const Level& level, QPSolver& solver);
   bool nearest(const Level& level, QPSolver& solver);
+  void weigh(const Level& level, const double* x, int column);
   void bound(int variables);
   bool certified(QPSolver& solver, int variables, int equalities);
   void advance();

@@ -56,12 +56,14 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       program_(program),
       constants_(std::move(constants)),
       box_(std::move(limits)),
+      braking_(box_.limits()),
       max_iterations_(max_iterations),
       solver_(static_cast<int>(constants_.dofs.size()), 0, 0, max_iterations),
       v_(constants_.dofs.size()),
       z_(constants_.dofs.size()),
       residual_(constants_.dofs.size()),
       gradient_(mujoco.nv),
+      curvature_(constants_.dofs.size()),
       v_previous_(constants_.dofs.size()),
       a_previous_(constants_.dofs.size()) {}
 
@@ -201,6 +203,7 @@ bool Engine::assemble(double dt) {
     v_previous_[i] = stack_.v_previous[constants_.dofs[i]];
     a_previous_[i] = program_.a_previous[constants_.dofs[i]];
   }
+  if (constants_.brakes && braking_.brakes()) brake_in_time();
   outside_ = box_.update(mujoco_.qpos, v_previous_.data(), a_previous_.data(), dt, program_.lb,
                          program_.ub);
   return outside_;
@@ -236,12 +239,73 @@ void Engine::add_terms() {
     const double added = *program_.added_damping = damping_->square(rows_, stack_.error);
     for (int i = 0; i < n; ++i) H[i * n + i] += constants_.unit * added;
   }
+  add_curvature();
   add_joints();
   if (constants_.inertia > 0.0) add_inertia();
   for (int i = 0; i < n; ++i) {
     const double* row = H + i * n;
     double* column = H + i;
     for (int j = 0; j < i; ++j, column += n) *column = row[j];
+  }
+}
+
+// H ← H + X: rmrc.qp.curvature.
+void Engine::add_curvature() {
+  const int n = size();
+  std::fill(curvature_.begin(), curvature_.end(), 0.0);
+  for (const auto& term : rows_) {
+    term->add_curvature(program_.rate, dt_, constants_.least_curvature, curvature_.data());
+  }
+  for (int i = 0; i < n; ++i) program_.H[i * n + i] += curvature_[i];
+}
+
+// Slow down what drives the errors: rmrc.qp.braking.
+void Engine::brake_in_time() {
+  const int n = size(), nv = mujoco_.nv;
+  double *driven = braking_.driven(), *way = braking_.way(), gain = 0.0;
+  std::fill_n(driven, n, 0.0);
+  std::fill_n(way, n, 0.0);
+  bool moving = false;
+  for (const auto& term : rows_) {
+    moving |= *term->data().moving != 0;
+    if (!term->counts() || term->data().gain == 0.0) continue;
+    const double capped = std::min(term->data().gain, 1.0 / dt_);
+    term->pull(program_.rate, capped, driven, way);
+    gain = std::max(gain, capped);
+  }
+  for (const JointTerm& term : joints_) {
+    moving |= *term.data.moving != 0;
+    if (term.data.gain == 0.0) continue;
+    const double capped = std::min(term.data.gain, 1.0 / dt_);
+    unfed_.assign(program_.rate + term.data.first, program_.rate + term.data.first + nv);
+    for (int i = 0; i < nv; ++i) unfed_[i] -= stack_.feedforward[term.data.first + i];
+    for (int i = 0; i < n; ++i) {
+      const double pulled = term.weighed(constants_.dofs[i], unfed_.data());
+      driven[i] += pulled;
+      way[i] += pulled / capped;
+    }
+    if (term.counts()) gain = std::max(gain, capped);
+  }
+  if (gain == 0.0) return;
+  const double share = braking_.slow(program_.H, gain, dt_);
+  if (share < 0.0) return;
+  if (cascade_ != nullptr) {
+    const auto scale = [&](const TermData& data) {
+      for (int i = data.first; i < data.first + data.rows; ++i) {
+        program_.rate[i] -= (1.0 - share) * (program_.rate[i] - stack_.feedforward[i]);
+      }
+    };
+    for (const auto& term : rows_) {
+      if (term->counts() && term->data().gain != 0.0) scale(term->data());
+    }
+    for (const JointTerm& term : joints_) {
+      if (term.counts() && term.data.gain != 0.0) scale(term.data);
+    }
+  } else if (braking_.jerks() && !moving) {
+    const double* w = braking_.followed(share, v_previous_.data(), dt_);
+    for (int i = 0; i < n; ++i) program_.g[i] += driven[i] - dot(program_.H + i * n, w, n);
+  } else {
+    for (int i = 0; i < n; ++i) program_.g[i] += (1.0 - share) * driven[i];
   }
 }
 
@@ -290,7 +354,8 @@ Ending Engine::solve_levels() {
   const Program limits = program();
   const double square = constants_.floor + *program_.added_damping;
   const std::vector<Level>& levels = levels_->gather(rows_, stack_, program_.rate,
-                                                     program_.inertia, constants_.unit * square);
+                                                     program_.inertia, constants_.unit * square,
+                                                     dt_, constants_.least_curvature);
   const bool solved =
       in_time() && cascade_->solve(levels, limits, limited_ ? end_ : Clock::time_point::max());
   if (!solved) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "box.hpp"
+#include "braking.hpp"
 #include "certificate.hpp"
 #include "correction.hpp"
 #include "damping.hpp"
@@ -42,6 +43,8 @@ struct Constants {
   double unit;                   // what the whole cost is multiplied by
   double inertia;                // the share of M(q) in A
   double floor;                  // λ₀²
+  double least_curvature;        // the least dt K in X
+  bool brakes;                   // whether what drives the errors brakes in time
 };
 
 /// How a step ended: as in rmrc.qp.program.SolveStatus.
@@ -169,6 +172,8 @@ class Engine {
   void rates(double dt);
   void rate_of(const TermData& term, double dt);
   void add_terms();
+  void add_curvature();
+  void brake_in_time();
   void add_joints();
   void add_inertia();
   Ending attempt();
@@ -195,6 +200,7 @@ class Engine {
   ProgramArrays program_;
   Constants constants_;
   Box box_;
+  Braking braking_;
   std::vector<std::unique_ptr<RowTerm>> rows_;
   std::vector<ForeignRows*> foreign_;  // those among them that others evaluate
   std::vector<JointTerm> joints_;
@@ -223,6 +229,8 @@ class Engine {
   Residuals residuals_{};
   std::vector<double> v_, z_, residual_;
   std::vector<double> gradient_;  // (nv,)
+  std::vector<double> curvature_;  // X of one program (n,)
+  std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
 };
 

@@ -41,6 +41,7 @@ struct RowsArgument {
   Numbers root;
   Reading target, twist;
   Flags moving;
+  std::vector<WayJoint> way;
 };
 
 struct FrameArgument {
@@ -68,7 +69,8 @@ class BoundEngine {
               std::uintptr_t data, Writing qpos, Reading cdof, Writing error, Writing feedforward,
               Writing rate, Writing jacobian, Reading v_previous, Reading a_previous,
               std::vector<int> dofs, Numbers hessian, double unit, double share_of_inertia,
-              double floor,
+              double floor, double least_curvature,
+              bool brakes,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                Numbers, double>& limits,
               Writing H, Writing g, Writing added_damping, Writing inertia, Writing lb, Writing ub,
@@ -116,7 +118,8 @@ class BoundEngine {
         Stack{error.data(), feedforward.data(), jacobian.data(), v_previous.data(), place_.data()},
         ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(),
                       added_damping.data(), inertia.data(), a_previous.data()},
-        Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor},
+        Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor, least_curvature,
+                  brakes},
         JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step}, max_iter);
   }
 
@@ -134,8 +137,8 @@ class BoundEngine {
   Engine& operator*() { return *engine_; }
   const Engine& operator*() const { return *engine_; }
 
-  void add_frame(const RowsArgument& rows, const FrameArgument& frame, double far) {
-    add<BodyFrame>(rows, 6, kept(frame), far);
+  void add_frame(const RowsArgument& rows, const FrameArgument& frame) {
+    add<BodyFrame>(rows, 6, kept(frame));
   }
 
   void add_world_frame(const RowsArgument& rows, const FrameArgument& frame) {
@@ -236,9 +239,11 @@ class BoundEngine {
     if (rows.root.size() != size && rows.root.size() != size * size) {
       throw std::invalid_argument("the root of the weight has a wrong size");
     }
-    engine_->add(std::make_unique<Term>(checked(rows, count), rows.root,
-                                        std::forward<Arguments>(arguments)..., engine_->mujoco(),
-                                        engine_->stack()));
+    auto term = std::make_unique<Term>(checked(rows, count), rows.root,
+                                       std::forward<Arguments>(arguments)..., engine_->mujoco(),
+                                       engine_->stack());
+    term->bend(rows.way);
+    engine_->add(std::move(term));
   }
 
   TermData checked(const RowsArgument& rows, int count) {
@@ -282,14 +287,22 @@ class BoundEngine {
 
 RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading target,
                        Reading twist, Flags moving,
-                       const std::vector<std::tuple<int, int, double>>& clamps) {
+                       const std::vector<std::tuple<int, int, double>>& clamps,
+                       const std::vector<std::tuple<int, int, bool, double>>& way) {
   require(twist, 6, "twist");
   require(moving, 1, "moving");
   RowsArgument rows{{first, count, gain, target.data(), twist.data(), moving.data(), {}},
                     std::move(root),
                     target,
                     twist,
-                    moving};
+                    moving,
+                    {}};
+  for (const auto& [dof, before, turns, unit] : way) {
+    if (before < -1 || before >= static_cast<int>(rows.way.size()) || !(unit > 0.0)) {
+      throw std::invalid_argument("a way has a wrong order or a wrong unit");
+    }
+    rows.way.push_back({dof, before, turns, unit});
+  }
   for (const auto& [at, size, longest] : clamps) {
     if (at < 0 || size < 0 || at + size > count) throw std::invalid_argument("a clamp is outside");
     rows.data.clamps.push_back({at, size, longest});
@@ -336,21 +349,23 @@ Engine& engine_of(nb::handle object) { return *nb::cast<BoundEngine&>(object); }
 void bind_engine(nb::module_& m) {
   nb::class_<RowsArgument>(m, "TermRows", "What all terms of an engine have.")
       .def(nb::new_(&make_rows), "first"_a, "count"_a, "gain"_a, "root"_a, "target"_a, "twist"_a,
-           "moving"_a, "clamps"_a = std::vector<std::tuple<int, int, double>>());
+           "moving"_a, "clamps"_a = std::vector<std::tuple<int, int, double>>(),
+           "way"_a = std::vector<std::tuple<int, int, bool, double>>());
   nb::class_<FrameArgument>(m, "Frame", "Where the pose of a frame stands, and what moves it.")
       .def(nb::new_(&make_frame), "position"_a, "rotation"_a, "reference"_a, "dofs"_a);
   nb::class_<BoundEngine>(m, "Engine", "The whole step, in the arrays that it is given.")
       .def(nb::init<const std::vector<std::uintptr_t>&, std::uintptr_t, std::uintptr_t, Writing,
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,
-                    std::vector<int>, Numbers, double, double, double,
+                    std::vector<int>, Numbers, double, double, double, double, bool,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                      Numbers, double>&,
                     Writing, Writing, Writing, Writing, Writing, Writing, int>(),
            nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a, "cdof"_a, "error"_a,
            "feedforward"_a, "rate"_a, "jacobian"_a, "v_previous"_a, "a_previous"_a, "dofs"_a,
-           "hessian"_a, "unit"_a, "share_of_inertia"_a, "floor"_a, "limits"_a, "H"_a, "g"_a,
+           "hessian"_a, "unit"_a, "share_of_inertia"_a, "floor"_a, "least_curvature"_a, "brakes"_a,
+           "limits"_a, "H"_a, "g"_a,
            "added_damping"_a, "inertia"_a, "lb"_a, "ub"_a, "max_iter"_a)
-      .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a, "far"_a)
+      .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a)
       .def("add_world_frame", &BoundEngine::add_world_frame, "rows"_a, "frame"_a)
       .def("add_relative", &BoundEngine::add_relative, "rows"_a, "frame"_a, "root"_a)
       .def("add_axis", &BoundEngine::add_axis, "rows"_a, "frame"_a, "axis"_a, "at_point"_a)

@@ -26,19 +26,20 @@ Levels::Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int
     for (const LevelTasks::JointPart& part : level.joints) {
       own += static_cast<int>(part.root.size()) / nv_;
     }
-    levels_.push_back({own, nullptr, nullptr, nullptr, 0.0, along, nullptr, nullptr});
+    levels_.push_back({own, nullptr, nullptr, nullptr, 0.0, nullptr, along, nullptr, nullptr});
     rows += own;
     directed += along;
     sizes_.rows = std::max(sizes_.rows, own);
     sizes_.directed = std::max(sizes_.directed, along);
   }
-  levels_.push_back({0, nullptr, nullptr, nullptr, 1.0, 0, nullptr, nullptr});
+  levels_.push_back({0, nullptr, nullptr, nullptr, 1.0, nullptr, 0, nullptr, nullptr});
   sizes_.levels = static_cast<int>(levels_.size());
   const std::size_t n = dofs_.size();
   matrix_.resize(rows * n);
   rate_.resize(rows);
   jacobian_.resize(directed * n);
   direction_.resize(directed);
+  curvature_.resize(tasks_.size() * n);
   const auto& constant = metric_.constant;
   const auto counts = [](double value) { return value != 0.0; };
   const bool weighs =
@@ -57,10 +58,19 @@ Levels::Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int
 
 const std::vector<Level>& Levels::gather(const std::vector<std::unique_ptr<RowTerm>>& terms,
                                          const Stack& stack, const double* rate,
-                                         const double* inertia, double damping) {
+                                         const double* inertia, double damping, double dt,
+                                         double least_curvature) {
   const double least = std::max(damping, least_damping);
+  std::fill(curvature_.begin(), curvature_.end(), 0.0);
   for (std::size_t k = 0; k < tasks_.size(); ++k) {
     levels_[k].damping = least;
+    double* curvature = curvature_.data() + k * dofs_.size();
+    levels_[k].curvature = nullptr;
+    for (const LevelTasks::Part& part : tasks_[k].parts) {
+      if (!terms[part.term]->bends()) continue;
+      terms[part.term]->add_curvature(rate, dt, least_curvature, curvature);
+      levels_[k].curvature = curvature;
+    }
     gather(tasks_[k], terms, stack, rate, levels_[k]);
   }
   if (!last_.empty()) {

@@ -39,10 +39,11 @@ class Levels {
   Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int> dofs, int nv,
          const std::vector<std::unique_ptr<RowTerm>>& terms);
 
-  /// Gather them for ẋ of all terms, M(q) (nv, nv), and λ² in the program's unit.
+  /// Gather them for ẋ of all terms, M(q) (nv, nv), λ² in the program's unit, a step of dt, and the
+  /// least dt K in X.
   const std::vector<Level>& gather(const std::vector<std::unique_ptr<RowTerm>>& terms,
                                    const Stack& stack, const double* rate, const double* inertia,
-                                   double damping);
+                                   double damping, double dt, double least_curvature);
 
   const LevelSizes& sizes() const { return sizes_; }
 
@@ -58,6 +59,7 @@ class Levels {
   LevelSizes sizes_{};
   std::vector<double> matrix_, rate_;         // W and S ẋ of all levels
   std::vector<double> jacobian_, direction_;  // J and ẋ of what keeps its direction
+  std::vector<double> curvature_;             // X of all levels
   std::vector<double> last_;                  // the metric of the last level (n, n)
   std::vector<Level> levels_;
 };

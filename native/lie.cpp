@@ -7,75 +7,50 @@ namespace rmrc {
 
 namespace {
 
-// Below it an angle, or its square, counts as none. These are the thresholds of the Python engine's
-// operations: what they round off is part of the result that is to be the same.
-constexpr double nothing = 1e-10;
+// Up to this angle, rad, closed forms lose digits and six terms of a series have them all:
+// rmrc.problem.lie.
+constexpr double small = 0.5;
 
-void set_unit(double* A) noexcept {
-  std::fill_n(A, 9, 0.0);
-  A[0] = A[4] = A[8] = 1.0;
-}
+// c(θ) = (1 − ½θ cot ½θ)/θ² and c′(θ)/θ.
+struct Bend {
+  explicit Bend(double square) noexcept {
+    if (square < small * small) {
+      constexpr double series[] = {1.0 / 12.0,      1.0 / 720.0,      1.0 / 30240.0,
+                                   1.0 / 1209600.0, 1.0 / 47900160.0, 691.0 / 1307674368000.0};
+      c = slope = 0.0;
+      for (int k = 5; k > 0; --k) {
+        c = series[k] + square * c;
+        slope = 2.0 * k * series[k] + square * slope;
+      }
+      c = series[0] + square * c;
+      return;
+    }
+    const double half = 0.5 * std::sqrt(square), sine = std::sin(half);
+    const double cotangent = half * std::cos(half) / sine;
+    c = (1.0 - cotangent) / square;
+    slope = (cotangent + half * half / (sine * sine) - 2.0) / (square * square);
+  }
 
-void skew(const double* v, double* out) noexcept {
-  out[0] = out[4] = out[8] = 0.0;
-  out[1] = -v[2];
-  out[2] = v[1];
-  out[3] = v[2];
-  out[5] = -v[0];
-  out[6] = -v[1];
-  out[7] = v[0];
-}
-
-// θ = ‖ω‖ with its sine and cosine.
-struct Angle {
-  explicit Angle(const double* omega)
-      : square(dot3(omega, omega)),
-        theta(std::sqrt(square)),
-        sine(std::sin(theta)),
-        cosine(std::cos(theta)) {}
-
-  double square, theta, sine, cosine;
+  double c, slope;
 };
 
-// Jl⁻¹(ω) of SO(3).
-void inverse_left_jacobian(const double* omega, const Angle& angle, double* out) noexcept {
-  const double beta =
-      (1.0 - angle.theta * angle.sine / (2.0 * (1.0 - angle.cosine))) / angle.square;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) out[3 * i + j] = beta * omega[i] * omega[j];
-    out[4 * i] += 1.0 - beta * angle.square;
-  }
-  out[1] += 0.5 * omega[2];
-  out[2] -= 0.5 * omega[1];
-  out[3] -= 0.5 * omega[2];
-  out[5] += 0.5 * omega[0];
-  out[6] += 0.5 * omega[1];
-  out[7] -= 0.5 * omega[0];
+// out ← out + factor [v]×
+void add_cross(double factor, const double* v, double* out) noexcept {
+  out[1] -= factor * v[2];
+  out[2] += factor * v[1];
+  out[3] += factor * v[2];
+  out[5] -= factor * v[0];
+  out[6] -= factor * v[1];
+  out[7] += factor * v[0];
 }
 
-// Q of the left Jacobian [J Q; 0 J] of SE(3): Barfoot, State Estimation for Robotics, eq. 7.86.
-void coupling_block(const double* rho, const double* omega, const Angle& angle,
-                    double* Q) noexcept {
-  // Near θ = 0 these lose digits, and are to lose the same as in the Python engine: as they stand.
-  const double square = angle.square, theta = angle.theta, sine = angle.sine, cosine = angle.cosine;
-  const double fourth = square * square;
-  const double b = (theta - sine) / (square * theta);
-  const double c = (1.0 - 0.5 * square - cosine) / fourth;
-  const double d = (2.0 * theta - 3.0 * sine + theta * cosine) / (2.0 * fourth * theta);
-  double P[9], W[9], PW[9], WP[9], WPW[9], PWW[9], WWP[9], WPWW[9], WWPW[9];
-  skew(rho, P);
-  skew(omega, W);
-  multiply3(P, W, PW);
-  multiply3(W, P, WP);
-  multiply3(WP, W, WPW);
-  multiply3(PW, W, PWW);
-  multiply3(W, WP, WWP);
-  multiply3(WPW, W, WPWW);
-  multiply3(W, WPW, WWPW);
-  for (int k = 0; k < 9; ++k) {
-    Q[k] = 0.5 * P[k] + b * (WP[k] + PW[k] + WPW[k]) - c * (WWP[k] + PWW[k] - 3.0 * WPW[k]) +
-           d * (WPWW[k] + WWPW[k]);
+// A = I − ½Ω + c Ω², with Ω² = ωωᵀ − θ²I.
+void inverse_left_jacobian(const double* omega, double square, double c, double* A) noexcept {
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) A[3 * i + j] = c * omega[i] * omega[j];
+    A[4 * i] += 1.0 - c * square;
   }
+  add_cross(-0.5, omega, A);
 }
 
 }  // namespace
@@ -156,11 +131,11 @@ void multiply_conjugate(const double* a, const double* b, double* out) noexcept 
   out[3] = -a[0] * b[3] - a[1] * b[2] + a[2] * b[1] + a[3] * b[0];
 }
 
-void log_rotation(const double* quaternion, double* omega, double least) noexcept {
+void log_rotation(const double* quaternion, double* omega) noexcept {
   const double sine = std::sqrt(dot3(quaternion + 1, quaternion + 1));
   const double w = quaternion[0];
   double scale = 0.0;
-  if (sine > least) {
+  if (sine > 0.0) {
     // Of the two quaternions of the rotation, the one with w ≥ 0.
     scale = std::copysign(2.0 * std::atan2(sine, std::abs(w)) / sine, w < 0.0 ? -1.0 : 1.0);
   }
@@ -169,42 +144,34 @@ void log_rotation(const double* quaternion, double* omega, double least) noexcep
 
 void log_motion(const double* quaternion, const double* translation, double* twist) noexcept {
   double* omega = twist + 3;
-  log_rotation(quaternion, omega, nothing);
-  const double square = dot3(omega, omega);
-  double factor = 1.0 / 12.0;
-  if (square >= nothing) {
-    const double half = 0.5 * std::sqrt(square);
-    factor = (1.0 - half * std::cos(half) / std::sin(half)) / square;
-  }
-  // V⁻¹t = t − ½ ω×t + f ω×(ω×t)
+  log_rotation(quaternion, omega);
+  const Bend bend(dot3(omega, omega));
+  // V⁻¹t = t − ½ ω×t + c ω×(ω×t)
   double once[3], twice[3];
   cross(omega, translation, once);
   cross(omega, once, twice);
-  for (int i = 0; i < 3; ++i) twist[i] = translation[i] - 0.5 * once[i] + factor * twice[i];
+  for (int i = 0; i < 3; ++i) twist[i] = translation[i] - 0.5 * once[i] + bend.c * twice[i];
 }
 
 void inverse_left_jacobian(const double* omega, double* A) noexcept {
-  if (dot3(omega, omega) < nothing) {
-    set_unit(A);
-  } else {
-    inverse_left_jacobian(omega, Angle(omega), A);
-  }
+  const double square = dot3(omega, omega);
+  inverse_left_jacobian(omega, square, Bend(square).c, A);
 }
 
 void inverse_left_jacobian_motion(const double* twist, double* A, double* B) noexcept {
-  const double* omega = twist + 3;
-  if (dot3(omega, omega) < nothing) {
-    set_unit(A);
-    std::fill_n(B, 9, 0.0);
-    return;
+  const double *rho = twist, *omega = twist + 3;
+  const double square = dot3(omega, omega), along = dot3(omega, rho);
+  const Bend bend(square);
+  inverse_left_jacobian(omega, square, bend.c, A);
+  // B = −½P + c (ΩP + PΩ) + c′/θ (ω·ρ) Ω², with ΩP + PΩ = ωρᵀ + ρωᵀ − 2(ω·ρ)I.
+  const double share = bend.slope * along;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      B[3 * i + j] = bend.c * (omega[i] * rho[j] + rho[i] * omega[j]) + share * omega[i] * omega[j];
+    }
+    B[4 * i] -= 2.0 * bend.c * along + share * square;
   }
-  const Angle angle(omega);
-  double Q[9], AQ[9];
-  inverse_left_jacobian(omega, angle, A);
-  coupling_block(twist, omega, angle, Q);
-  multiply3(A, Q, AQ);
-  multiply3(AQ, A, B);
-  for (int k = 0; k < 9; ++k) B[k] = -B[k];
+  add_cross(-0.5, rho, B);
 }
 
 }  // namespace rmrc

@@ -42,8 +42,8 @@ void conjugate_multiply(const double* a, const double* b, double* out) noexcept;
 /// out = a b*.
 void multiply_conjugate(const double* a, const double* b, double* out) noexcept;
 
-/// ω with exp(ω) the rotation of a unit quaternion, ‖ω‖ ≤ π; 0 where sin ½‖ω‖ < `least`.
-void log_rotation(const double* quaternion, double* omega, double least) noexcept;
+/// ω with exp(ω) the rotation of a unit quaternion, ‖ω‖ ≤ π.
+void log_rotation(const double* quaternion, double* omega) noexcept;
 
 /// e = log(T) of the motion T with this rotation and translation.
 void log_motion(const double* quaternion, const double* translation, double* twist) noexcept;

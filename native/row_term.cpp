@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 #include "kernels.hpp"
@@ -26,6 +27,7 @@ RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
   weighted_.resize(jacobian_.size());
   wanted_.resize(data_.rows);
   world_.resize(6 * static_cast<std::size_t>(stride_));
+  transform_.resize(6 * static_cast<std::size_t>(data_.rows));
 }
 
 void RowTerm::evaluate() {
@@ -105,6 +107,20 @@ void RowTerm::add_rows(double* H, double* g, int n, int first) const {
   }
 }
 
+void RowTerm::pull(const double* rate, double gain, double* driven, double* way) {
+  const int rows = data_.rows;
+  const double* fed = stack_.feedforward + data_.first;
+  for (int r = 0; r < rows; ++r) wanted_[r] = rate[data_.first + r] - fed[r];
+  for (int r = 0; r < rows; ++r) {
+    const double x = weighed(r, wanted_.data());
+    for (int k = 0; k < inside_; ++k) {
+      const double pulled = weighted_[r * stride_ + k] * x;
+      driven[columns_[k]] += pulled;
+      way[columns_[k]] += pulled / gain;
+    }
+  }
+}
+
 void RowTerm::copy_row(int r, double* row) const {
   for (int k = 0; k < inside_; ++k) row[columns_[k]] = weighted_[r * stride_ + k];
 }
@@ -121,7 +137,7 @@ void RowTerm::measure(double* measures) const {
   measures[0] = measures[1] = std::sqrt(dot(error(), error(), data_.rows));
 }
 
-void RowTerm::turn(const Frame& frame, const double* T) {
+void RowTerm::move(const Frame& frame) {
   double offset[3];
   for (int i = 0; i < 3; ++i) offset[i] = frame.position[i] - frame.reference[i];
   const int count = static_cast<int>(dofs_.size()), own = static_cast<int>(frame.dofs.size());
@@ -140,13 +156,82 @@ void RowTerm::turn(const Frame& frame, const double* T) {
       world[(3 + i) * stride_ + k] = angular[i];
     }
   }
+}
+
+void RowTerm::carry(const Frame& base, const double* point) {
+  double offset[3];
+  for (int i = 0; i < 3; ++i) offset[i] = point[i] - base.reference[i];
+  double* world = world_.data();
+  for (int k = 0; k < static_cast<int>(dofs_.size()); ++k) {
+    if (!std::binary_search(base.dofs.begin(), base.dofs.end(), dofs_[k])) continue;
+    const double* angular = mujoco_.cdof + 6 * dofs_[k];
+    double moved[3];
+    cross(angular, offset, moved);
+    for (int i = 0; i < 3; ++i) {
+      world[i * stride_ + k] -= angular[3 + i] + moved[i];
+      world[(3 + i) * stride_ + k] -= angular[i];
+    }
+  }
+}
+
+void RowTerm::turn(const double* T) {
+  std::copy_n(T, transform_.size(), transform_.begin());
   for (int r = 0; r < data_.rows; ++r, T += 6) {
     double* out = jacobian_.data() + r * stride_;
     for (int k = 0; k < stride_; k += 4) {
-      Quad sum = load(out + k);
-      for (int i = 0; i < 6; ++i) sum += T[i] * load(world + i * stride_ + k);
+      Quad sum = T[0] * load(world_.data() + k);
+      for (int i = 1; i < 6; ++i) sum += T[i] * load(world_.data() + i * stride_ + k);
       store(sum, out + k);
     }
+  }
+}
+
+void RowTerm::bend(const std::vector<WayJoint>& way) {
+  for (const WayJoint& joint : way) {
+    const auto at = std::find(dofs_.begin(), dofs_.begin() + inside_, joint.dof);
+    if (at == dofs_.begin() + inside_) throw std::invalid_argument("a way leaves the program");
+    const int before = joint.before;
+    const double hinges = before < 0 ? 0.0 : way_[before].hinges + way_[before].turns;
+    way_.push_back({static_cast<int>(at - dofs_.begin()), before, joint.turns, joint.unit, hinges,
+                    0.0});
+  }
+  for (int r = 0; r < std::min(data_.rows, 6); ++r) transform_[7 * r] = 1.0;
+}
+
+void RowTerm::add_curvature(const double* rate, double dt, double least, double* X) {
+  if (way_.empty() || !counts_) return;
+  const double time = std::max(dt, least * std::max(1.0 / data_.gain, dt));  // ẋ is K e
+  const int rows = data_.rows;
+  const bool full = static_cast<int>(root_.size()) > rows;
+  const double* fed = stack_.feedforward + data_.first;
+  double wrench[6] = {}, *unfed = wanted_.data();
+  for (int r = 0; r < rows; ++r) unfed[r] = time * (rate[data_.first + r] - fed[r]);
+  for (int r = 0; r < rows; ++r) {
+    // Element r of S x, and what it adds to Tᵀ Sᵀ S x.
+    const double x = weighed(r, unfed);
+    for (int s = full ? 0 : r; s < (full ? rows : r + 1); ++s) {
+      const double pulled = root_[full ? r * rows + s : r] * x;
+      for (int i = 0; i < 6; ++i) wrench[i] += pulled * transform_[6 * s + i];
+    }
+  }
+  const double *force = wrench, *torque = wrench + 3, *world = world_.data();
+  for (WayPoint& point : way_) point.after = 0.0;
+  for (int k = static_cast<int>(way_.size()) - 1; k >= 0; --k) {
+    WayPoint& point = way_[k];
+    double v[3], w[3], u[3], turned[3];
+    for (int i = 0; i < 3; ++i) {
+      v[i] = world[i * stride_ + point.column];
+      w[i] = 0.5 * world[(3 + i) * stride_ + point.column];
+    }
+    cross(v, force, u);
+    cross(w, torque, turned);
+    for (int i = 0; i < 3; ++i) u[i] += turned[i];
+    const double moment = std::sqrt(dot3(u, u));
+    point.after += moment * point.unit;
+    double& sum = X[columns_[point.column]];
+    sum += point.hinges * moment / point.unit;
+    if (point.turns) sum += point.after;
+    if (point.before >= 0) way_[point.before].after += point.after;
   }
 }
 

@@ -83,11 +83,10 @@ void measure_motion(const double* e, double* measures) {
 
 }  // namespace
 
-BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, double far,
-                     const MuJoCo& mujoco, const Stack& stack)
+BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+                     const Stack& stack)
     : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
-      frame_(std::move(frame)),
-      far_(far) {}
+      frame_(std::move(frame)) {}
 
 void BodyFrame::measure(double* measures) const { measure_motion(error(), measures); }
 
@@ -99,17 +98,13 @@ void BodyFrame::differentiate() {
   for (int i = 0; i < 3; ++i) away[i] = position[i] - frame_.position[i];
   rotate_back(R, away, translation);
   log_motion(turned, translation, error());
-  double nearer[6], A[9], B[9], AR[9], BR[9], T[36];
-  std::copy_n(error(), 6, nearer);
-  if (const double length = norm3(translation); length > far_) {
-    for (int i = 0; i < 3; ++i) nearer[i] *= far_ / length;  // the logarithm is linear in it
-  }
-  inverse_left_jacobian_motion(nearer, A, B);
+  double A[9], B[9], AR[9], BR[9], T[36];
+  inverse_left_jacobian_motion(error(), A, B);
   multiply_transposed3(A, R, AR);
   multiply_transposed3(B, R, BR);
   set_blocks(T, AR, BR, AR);
-  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
-  turn(frame_, T);
+  move(frame_);
+  turn(T);
   if (!moves()) return;
   // What the frame would have to do to move with the target as one rigid body.
   double rigid[6], lever[3];
@@ -135,14 +130,14 @@ void WorldFrame::differentiate() {
   for (int i = 0; i < 3; ++i) error()[i] = data_.target[4 + i] - frame_.position[i];
   quaternion_of(frame_.rotation, own);
   multiply_conjugate(data_.target, own, turned);
-  log_rotation(turned, error() + 3, 0.0);
+  log_rotation(turned, error() + 3);
   // Jr⁻¹(φ) = Jl⁻¹(−φ)
   for (int i = 0; i < 3; ++i) back[i] = -error()[3 + i];
   inverse_left_jacobian(back, A);
   constexpr double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, zero[9] = {};
   set_blocks(T, unit, zero, A);
-  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
-  turn(frame_, T);
+  move(frame_);
+  turn(T);
   if (!moves()) return;
   std::copy_n(data_.twist, 3, feedforward());
   rotate_back(A, data_.twist + 3, feedforward() + 3);
@@ -171,22 +166,14 @@ void RelativeFrame::differentiate() {
   transposed_multiply3(Rb, Rf, R);
   rotate_back(R, gap, translation);
   log_motion(turned, translation, error());
-  double A[9], B[9], AR[9], BR[9], T[36], Tb[36];
+  double A[9], B[9], AR[9], BR[9], T[36];
   inverse_left_jacobian_motion(error(), A, B);
   multiply_transposed3(A, Rf, AR);
   multiply_transposed3(B, Rf, BR);
   set_blocks(T, AR, BR, AR);
-  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
-  turn(frame_, T);
-  // The base carries the frame along: its point at the frame's origin moves by ω × away.
-  for (int r = 0; r < 6; ++r) {
-    double* row = Tb + 6 * r;
-    for (int i = 0; i < 6; ++i) row[i] = -T[6 * r + i];
-    double lever[3];
-    cross(away, row, lever);  // aᵀ(ω × p) = ωᵀ(p × a)
-    for (int i = 0; i < 3; ++i) row[3 + i] += lever[i];
-  }
-  turn(base_, Tb);
+  move(frame_);
+  carry(base_, frame_.position);
+  turn(T);
   if (!moves()) return;
   // Jlog(T_tf) Ad(T_ft) V_t with the target's twist in its own axes: rotated into the frame's, and
   // taken at the frame's origin.
@@ -223,8 +210,8 @@ void Axis::differentiate() {
     align(T, direction);
   }
   for (int i = 0; i < 3; ++i) error()[i] = direction[i] - axis_[i];
-  std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
-  turn(frame_, T);
+  move(frame_);
+  turn(T);
 }
 
 // d = Rᵀ(t − p)/n, whose rate is −(I − d dᵀ)(J_v − [nd]× J_ω)/n.
@@ -296,14 +283,16 @@ void CentreOfMass::differentiate() {
   for (std::size_t k = 0; k < shares_.size(); ++k) {
     for (int i = 0; i < 3; ++i) error()[i] -= shares_[k] * centres_[k][i];
   }
-  double* out = jacobian_.data();
+  double *out = jacobian_.data(), *world = world_.data();
   for (const MovedMass& part : moved_) {
     const double* angular = mujoco_.cdof + 6 * part.dof;
     double offset[3], moved[3];
     for (int i = 0; i < 3; ++i) offset[i] = part.point[i] - part.reference[i];
     cross(angular, offset, moved);
-    for (int i = 0; i < 3; ++i) out[i * stride_] = part.share * (angular[3 + i] + moved[i]);
-    ++out;
+    for (int i = 0; i < 3; ++i) {
+      out[i * stride_] = world[i * stride_] = part.share * (angular[3 + i] + moved[i]);
+    }
+    ++out, ++world;
   }
   if (moves()) std::copy_n(data_.twist, 3, feedforward());
 }
@@ -353,13 +342,17 @@ void JointTerm::evaluate(const MuJoCo& mujoco, const Stack& stack) const {
   }
 }
 
-void JointTerm::add_to(double* gradient, const double* rate) const {
-  const double* own = rate + data.first;
+double JointTerm::weighed(int i, const double* x) const {
   const int n = data.rows;
-  for (int i = 0; i < n; ++i) {
-    gradient[i] -= static_cast<int>(weight.size()) > n ? dot(weight.data() + i * n, own, n)
-                                                       : weight[i] * own[i];
-  }
+  return static_cast<int>(weight.size()) > n ? dot(weight.data() + i * n, x, n) : weight[i] * x[i];
+}
+
+bool JointTerm::counts() const {
+  return std::any_of(weight.begin(), weight.end(), [](double value) { return value != 0.0; });
+}
+
+void JointTerm::add_to(double* gradient, const double* rate) const {
+  for (int i = 0; i < data.rows; ++i) gradient[i] -= weighed(i, rate + data.first);
 }
 
 }  // namespace rmrc

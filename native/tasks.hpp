@@ -42,6 +42,14 @@ struct Frame {
   std::vector<int> dofs;
 };
 
+/// A dof on the way from the world to what a term draws.
+struct WayJoint {
+  int dof;
+  int before;   // the place in the way of the one right before it, −1 for none
+  bool turns;   // whether it is a hinge
+  double unit;  // 1, or the length that a slide's rate is measured in
+};
+
 /// A term with a Jacobian of its own, over the columns of the dofs that move it.
 class RowTerm {
  public:
@@ -70,8 +78,23 @@ class RowTerm {
   /// out = J v (rows,) for v of the program (n,).
   void multiply(const double* v, double* out) const;
 
+  /// Tell which dofs of the program the error bends with, in their order.
+  void bend(const std::vector<WayJoint>& way);
+
+  /// X ← X + max(dt K, least) times the row sums of |C| (n,), at ẋ: rmrc.qp.curvature.
+  void add_curvature(const double* rate, double dt, double least, double* X);
+
   /// Write the true errors, the distance and the angle, or one number twice.
   virtual void measure(double* measures) const;
+
+  /// driven ← driven + Wᵀ S x and way ← way + Wᵀ S x / gain (n,), for x = ẋ less its feed-forward.
+  void pull(const double* rate, double gain, double* driven, double* way);
+
+  /// Whether the term has a weight.
+  bool counts() const { return counts_; }
+
+  /// Whether X has a part of the term's.
+  bool bends() const { return !way_.empty() && counts_; }
 
   const TermData& data() const { return data_; }
   const std::vector<double>& root() const { return root_; }
@@ -80,8 +103,14 @@ class RowTerm {
   /// Write e, ẋ_ff where the target moves, and J by `turn` or `column`.
   virtual void differentiate() = 0;
 
-  /// J ← T J_w, with J_w the frame's Jacobian along the world's axes and T (rows, 6).
-  void turn(const Frame& frame, const double* T);
+  /// J_w ← the frame's Jacobian along the world's axes.
+  void move(const Frame& frame);
+
+  /// J_w ← J_w less how a base carries a point along.
+  void carry(const Frame& base, const double* point);
+
+  /// J ← T J_w for T (rows, 6).
+  void turn(const double* T);
 
   /// W = S J.
   void weigh();
@@ -97,6 +126,7 @@ class RowTerm {
   std::vector<int> dofs_;  // of the columns: first those that are in the program
   int stride_;
   std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
+  std::vector<double> world_;     // J_w (6, stride): how the dofs move the frame
 
  private:
   template <int rows>
@@ -107,22 +137,29 @@ class RowTerm {
   std::vector<int> columns_;  // in the program, in ascending order
   int inside_;                // columns that are in the program
   std::vector<double> weighted_, wanted_;  // W, and S ẋ
-  std::vector<double> world_;  // (6, stride)
+  std::vector<double> transform_;          // T (rows, 6)
+
+  struct WayPoint {
+    int column;     // of J
+    int before;     // in the way, −1 for none
+    bool turns;     // whether it is a hinge
+    double unit;    // 1, or the length that a slide's rate is measured in
+    double hinges;  // before it
+    double after;   // Σ ‖u_j‖ at and after it
+  };
+  std::vector<WayPoint> way_;
 };
 
-/// e = log(T_bt) and J = Jlog(T_tb) J_b: a `frame` task along the body's axes.
-///
-/// J of a target further away than `far` is that of a target at that distance.
+/// e = log(T_bt) and J = Jl⁻¹(e) J_b: a `frame` task along the body's axes.
 class BodyFrame final : public RowTerm {
  public:
-  BodyFrame(TermData data, std::vector<double> root, Frame frame, double far, const MuJoCo& mujoco,
+  BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
             const Stack& stack);
   void measure(double* measures) const override;
 
  private:
   void differentiate() override;
   Frame frame_;
-  double far_;
 };
 
 /// e = [p_t − p_b; log(R_t R_bᵀ)]: a `frame` task along the world's axes.
@@ -226,6 +263,12 @@ struct JointTerm {
 
   /// Write e and ẋ_ff.
   void evaluate(const MuJoCo& mujoco, const Stack& stack) const;
+
+  /// Return element i of B x (nv,).
+  double weighed(int i, const double* x) const;
+
+  /// Whether the term has a weight.
+  bool counts() const;
 
   /// gradient ← gradient − B ẋ (nv,).
   void add_to(double* gradient, const double* rate) const;

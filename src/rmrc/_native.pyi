@@ -46,6 +46,7 @@ class TermRows:
         twist: Array,
         moving: NDArray[np.uint8],
         clamps: list[tuple[int, int, float]] = ...,
+        way: list[tuple[int, int, bool, float]] = ...,
     ) -> None: ...
 
 class Frame:
@@ -80,6 +81,8 @@ class Engine:
         unit: float,
         share_of_inertia: float,
         floor: float,
+        least_curvature: float,
+        brakes: bool,
         limits: tuple[
             list[int],
             list[float],
@@ -98,7 +101,7 @@ class Engine:
         ub: Array,
         max_iter: int,
     ) -> None: ...
-    def add_frame(self, rows: TermRows, frame: Frame, far: float) -> None: ...
+    def add_frame(self, rows: TermRows, frame: Frame) -> None: ...
     def add_world_frame(self, rows: TermRows, frame: Frame) -> None: ...
     def add_relative(self, rows: TermRows, frame: Frame, root: Frame) -> None: ...
     def add_axis(self, rows: TermRows, frame: Frame, axis: list[float], at_point: bool) -> None: ...

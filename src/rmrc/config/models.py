@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from rmrc.config.base import (
     JointName,
@@ -54,6 +54,14 @@ class SolverModel(Model):
     """Tolerance handed to the backend; by default one well inside the certificate's."""
 
 
+def _switched(value: object) -> object:
+    return {"on": True, "off": False}.get(value, value) if isinstance(value, str) else value
+
+
+Switch = Annotated[bool, Field(strict=True), BeforeValidator(_switched)]
+"""true or on, false or off."""
+
+
 class DampingModel(Model):
     """The damping term ½ λ² ‖v‖²."""
 
@@ -61,6 +69,9 @@ class DampingModel(Model):
 
     lambda_: Annotated[NonNegative, Field(alias="lambda")] = 0.01
     """λ, in the units of √B·m/rad; with `adapt` the least that it can be."""
+    curvature: Switch = True
+    """Whether the curvature of the tasks is in the program, so that the robot rests where it cannot
+    go, and brakes in time for where it can."""
     adapt: Literal["off", "sigma_min", "manipulability", "error"] = "off"
     """What raises λ: a small singular value σ of the tasks' weighted Jacobian (Chiaverini), a small
     manipulability w (Nakamura and Hanafusa), or a large error (Sugihara)."""

@@ -142,6 +142,8 @@ class NativeEngine(PythonEngine):
         self._moving = np.frombuffer(evaluation.moving, dtype=np.uint8)
         self._cdof = np.zeros((model.nv, 6))
         self._native = self._build()
+        curvature = self._assembly.curvature
+        self._ways = {term.name: curvature.joints(way) for term, _, way in curvature.terms}
         rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
         watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
         self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
@@ -185,6 +187,8 @@ class NativeEngine(PythonEngine):
             unit=assembly.unit,
             share_of_inertia=problem.inertia,
             floor=problem.damping**2,
+            least_curvature=assembly.curvature.least,
+            brakes=problem.curvature,
             limits=(
                 box.coordinate.tolist(),
                 box.lower.tolist(),
@@ -231,7 +235,7 @@ class NativeEngine(PythonEngine):
                 if term.axes == "world":
                     native.add_world_frame(rows, self._frame(term.frame))
                 else:
-                    native.add_frame(rows, self._frame(term.frame), min(term.clamp[0], 1e300))
+                    native.add_frame(rows, self._frame(term.frame))
             case RelativeFrameTerm():
                 native.add_relative(rows, self._frame(term.frame), self._frame(term.root))
             case LookAtTerm():
@@ -265,6 +269,7 @@ class NativeEngine(PythonEngine):
                 for part, longest in term.clamps
                 for first, last, _ in (part.indices(term.rows),)
             ],
+            way=self._ways.get(term.name, []),
         )
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:

@@ -115,6 +115,7 @@ class _Compiler:
             metric=metric,
             inertia=inertia,
             damping=config.damping.lambda_,
+            curvature=config.damping.curvature,
             soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
             strict=strict,
             box=replace(select(box, dofs), step=LONGEST_STEP if barriers else math.inf),

@@ -41,6 +41,8 @@ class Problem:
     """The share of M(q) in A."""
     damping: float
     """λ₀, the floor of λ."""
+    curvature: bool
+    """Whether X is in the program, and what drives the errors brakes in time."""
     soft_ratio: float
     """What multiplies a level's B, once for each level below the highest; 1 if they are strict."""
     strict: bool

@@ -10,6 +10,7 @@ from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
+from rmrc.qp.braking import Braking
 from rmrc.qp.cascade import Level
 from rmrc.qp.curvature import Curvature
 from rmrc.qp.damping import Damping, largest_square
@@ -27,8 +28,6 @@ def square_root(weight: Array) -> Array:
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
-CURVED = True
-def XDT(dt): return dt
 LEAST_DAMPING = 1e-12
 """λ² at a level, where the configuration has less: it keeps a level's program definite."""
 
@@ -84,6 +83,7 @@ class Assembly:
         self.constant = self._constant_hessian()
         """A + λ₀²I + Σ B of the joint terms (n, n), what no configuration changes."""
         self.curvature = Curvature(problem, evaluation, self.leveled)
+        self.braking = Braking(problem.box)
         self.adaptive = Damping(problem, evaluation, self._weigh, self.unit)
         soft = [term for term in evaluation.terms if not term.hard]
         self.leveled_terms = [
@@ -185,17 +185,16 @@ class Assembly:
             length = math.sqrt(error.dot(error))
             if length > longest:
                 rate *= longest / length
-        if CURVED:
-            self.curvature.update(self.rate)
+        self.curvature.update(self.rate, dt)
+        unfed = self.rate.copy()
         if self._fed or 1 in evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
         weighted, unwanted = self._weigh(), self._weigh_rate()
         columns = weighted if self._all else weighted[:, self._dofs]
         columns.T.dot(columns, qp.H)  # Σ JᵀBJ
         qp.H += self.constant  # + A + λ₀²I + Σ B
-        if CURVED:
-            for sums in self.curvature.levels.values():
-                qp.H.flat[:: self._dofs.size + 1] += XDT(dt) * sums  # + X
+        for diagonal in self.curvature.levels.values():
+            qp.H.flat[:: self._dofs.size + 1] += diagonal  # + X
         if self.adaptive.adapts:
             qp.H.flat[:: self._dofs.size + 1] += self.unit * self.adaptive.update()  # + λ_a²I
         unwanted.dot(columns, qp.g)  # −Σ JᵀB ẋ
@@ -203,6 +202,40 @@ class Assembly:
             self._add_joint_rates()
         if self._problem.inertia:
             self._add_inertia()
+        if self._problem.curvature and self.braking.brakes:
+            self._brake_in_time(unfed, dt)
+
+    def _brake_in_time(self, unfed: Array, dt: float) -> None:
+        """Slow down what drives the errors, K clamp(e) (rows,) of all terms: see `Braking`."""
+        evaluation, qp = self._evaluation, self.qp
+        driven, way = np.zeros((2, self._problem.model.nv))
+        gain = 0.0
+        for term in evaluation.terms:
+            if term.hard or not (term.gain and term.weight.any()):
+                continue
+            weight, part = self.leveled(term), evaluation.error_of(unfed, term)
+            pulled = weight * part if weight.ndim == 1 else weight @ part
+            if not term.joint:
+                pulled = evaluation.jacobian[evaluation.rows_of([term])].T @ pulled
+            capped = min(term.gain, 1.0 / dt)
+            driven += pulled
+            way += pulled / capped
+            gain = max(gain, capped)
+        if not gain:
+            return
+        pulled = np.stack([driven, way], axis=1)[self._dofs]
+        v, way = np.linalg.solve(qp.H, pulled).T
+        share, slope = self.braking.field(v, way, gain, dt)
+        if self._problem.cascaded:
+            soft = np.concatenate(
+                [np.full(t.rows, 0.0 if t.hard or not t.gain else 1.0 - share) for t in evaluation.terms]
+            )
+            self.rate -= soft * unfed
+        elif self.braking.jerks and 1 not in evaluation.moving:
+            v_previous = evaluation.v_previous[self._dofs]
+            qp.g += pulled[:, 0] - qp.H @ self.braking.followed(share * v, slope, v_previous, dt)
+        else:
+            qp.g += (1.0 - share) * pulled[:, 0]
 
     def _add_joint_rates(self) -> None:
         """Subtract Σ B ẋ of the terms on the joints."""
@@ -284,6 +317,8 @@ class Assembly:
         if directions:
             jacobians, asked = zip(*directions, strict=True)
             direction = (np.vstack(jacobians), np.concatenate(asked))
+        if (curvature := self.curvature.levels.get(terms[0].level)) is not None:
+            damping = damping + np.diag(curvature)
         return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
     def equalities(self) -> Equalities | None:

@@ -12,6 +12,9 @@ from rmrc.problem.tasks.base import Term, Way
 
 Array = NDArray[np.float64]
 
+LEAST = 0.1
+"""The least dt K in X with acceleration limits: no direction's gain is then far above K."""
+
 
 class Curvature:
     """X, a diagonal with X ⪰ dt Σ K C⁺ for the curvature C = −Σ_r (B e)_r ∇²f_r of each task.
@@ -44,24 +47,36 @@ class Curvature:
         self._column = {dof: k for k, dof in enumerate(dofs)}
         self._hinge = turning_dofs(model)
         self._unit = np.where(self._hinge, 1.0, model.stat.extent)
-        self._terms = [
+        self.terms = [
             (term, leveled(term), term.way(model).within(dofs))
             for term in evaluation.terms
-            if term.bends and not term.hard and not term.preserve and term.weight.any()
+            if problem.curvature and term.bends and not term.hard and not term.preserve
         ]
-        self.levels = {term.level: np.zeros(len(dofs)) for term, _, _ in self._terms}
-        """Σ K |C| (n,) of each level at the last update: X without its dt, in the program's unit."""
+        """The terms that X has a part of, their B in the program's unit, and their ways."""
+        self.least = LEAST if np.isfinite(problem.box.acceleration).any() else 0.0
+        """The least dt K in X."""
+        self.levels = {term.level: np.zeros(len(dofs)) for term, _, _ in self.terms}
+        """X (n,) of each level at the last update, in the program's unit."""
 
-    def update(self, rate: Array) -> None:
-        """Find the row sums at ẋ without its feed-forward, K clamp(e) (rows,) of all terms."""
-        for sums in self.levels.values():
-            sums[:] = 0.0
-        for term, weight, way in self._terms:
-            part = self._evaluation.error_of(rate, term)
+    def update(self, rate: Array, dt: float) -> None:
+        """Find X at ẋ without its feed-forward, K clamp(e) (rows,) of all terms."""
+        for diagonal in self.levels.values():
+            diagonal[:] = 0.0
+        for term, weight, way in self.terms:
+            part = self._evaluation.error_of(rate, term) * max(
+                dt, self.least * max(1.0 / term.gain, dt)
+            )
             pulled = weight * part if weight.ndim == 1 else weight @ part
             linear, angular, force, torque = term.pull(self._evaluation, pulled)
             moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
             self._add_row_sums(np.linalg.norm(moments, axis=1), way, self.levels[term.level])
+
+    def joints(self, way: Way) -> list[tuple[int, int, bool, float]]:
+        """Return each dof on a way, the place before it, whether it turns, and its unit."""
+        return [
+            (dof, before, bool(self._hinge[dof]), float(self._unit[dof]))
+            for dof, before in zip(way.dofs, way.before, strict=True)
+        ]
 
     def _add_row_sums(self, moment: Array, way: Way, sums: Array) -> None:
         """Add the sums over the rows of |C| for ‖u_j‖ (nv,), from the frame back to the world."""
