@@ -317,8 +317,9 @@ class Assembly:
         if directions:
             jacobians, asked = zip(*directions, strict=True)
             direction = (np.vstack(jacobians), np.concatenate(asked))
-        if (curvature := self.curvature.levels.get(terms[0].level)) is not None:
-            damping = damping + np.diag(curvature)
+        for level, curvature in self.curvature.levels.items():
+            if level <= terms[0].level:
+                damping = damping + np.diag(curvature)
         return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
     def equalities(self) -> Equalities | None:
