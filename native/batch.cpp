@@ -23,11 +23,23 @@ Batch::Batch(int count, std::vector<Worker> workers, std::vector<double> start, 
       moving_(static_cast<std::size_t>(count) * tasks),
       refused_(count),
       pool_(static_cast<int>(workers_.size())) {
-  Memory counted;
-  workers_[0].stepper->keep(counted);
-  bytes_ = (counted.bytes() + line - 1) / line * line;
+  bytes_ = (kept_bytes(*workers_[0].stepper) + line - 1) / line * line;
   memory_.resize(count * bytes_);
   for (int element = 0; element < count; ++element) store(workers_[0], element);
+}
+
+Batch::~Batch() {
+  // Large arrays stand in the memory that ends here.
+  for (const Worker& worker : workers_) {
+    Memory last = Memory::returning(memory(0));
+    worker.stepper->keep(last);
+  }
+}
+
+std::size_t kept_bytes(Stepper& stepper) {
+  Memory counted;
+  stepper.keep(counted);
+  return counted.bytes();
 }
 
 void Batch::load(const Worker& worker, int element, Memory stored) {

@@ -21,6 +21,9 @@ struct Worker {
   std::uint8_t* moving;
 };
 
+/// Return how many bytes a stepper keeps of an element.
+std::size_t kept_bytes(Stepper& stepper);
+
 /// A target among those of a problem: of which task, and where it begins.
 struct TargetPlace {
   int task, first;
@@ -43,6 +46,7 @@ class Batch {
  public:
   /// `start` are the targets that elements begin with (size,), of so many tasks.
   Batch(int count, std::vector<Worker> workers, std::vector<double> start, int tasks);
+  ~Batch();
 
   /// Start all elements anew at valid q (n, nq) with v (n, nv), their targets at the start's.
   void reset(const double* q, const double* v);

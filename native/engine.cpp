@@ -14,6 +14,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double certified = 1e-6;  // rmrc.control.engine.CERTIFIED
 constexpr double raised = 1e-6;     // rmrc.qp.damping.RAISED
 constexpr double whole = 1e-6;      // rmrc.qp.cascade.WHOLE
+constexpr double longest = 1e6;     // s: a step that may take longer has no deadline
 
 Ending ending_of(Status status) {
   switch (status) {
@@ -130,7 +131,7 @@ bool Engine::damped() const {
 }
 
 Ending Engine::solve(const double* q, double dt, double seconds) {
-  limited_ = seconds < infinity;
+  limited_ = seconds < longest;
   if (limited_) {
     end_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(
                               std::chrono::duration<double>(std::max(seconds, 0.0)));

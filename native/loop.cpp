@@ -1,6 +1,7 @@
 #include "loop.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "kernels.hpp"
@@ -51,10 +52,13 @@ double value_of(const Combination& combination, const double* q) {
 }  // namespace
 
 Loop::Loop(TermData data, std::vector<double> root, std::vector<BodyPair> pairs,
-           std::vector<Polynomial> polynomials, const MuJoCo& mujoco, const Stack& stack)
+           std::vector<Polynomial> polynomials, std::vector<double> scale,
+           std::vector<char> angular, const MuJoCo& mujoco, const Stack& stack)
     : RowTerm(std::move(data), std::move(root), dofs_of(pairs, polynomials), mujoco, stack),
       pairs_(std::move(pairs)),
       polynomials_(std::move(polynomials)),
+      scale_(std::move(scale)),
+      angular_(std::move(angular)),
       column_(mujoco.nv) {
   for (std::size_t k = 0; k < dofs_.size(); ++k) column_[dofs_[k]] = static_cast<int>(k);
   for (const BodyPair& pair : pairs_) {
@@ -64,6 +68,15 @@ Loop::Loop(TermData data, std::vector<double> root, std::vector<BodyPair> pairs,
       carries_.push_back(static_cast<char>((first ? 1 : 0) + (second ? 2 : 0)));
     }
   }
+}
+
+void Loop::measure(double* measures) const {
+  double squares[2] = {0.0, 0.0};
+  for (int r = 0; r < data_.rows; ++r) {
+    const double value = scale_[r] * error()[r];
+    squares[angular_[r]] += value * value;
+  }
+  for (int k = 0; k < 2; ++k) measures[k] = std::sqrt(squares[k]);
 }
 
 void Loop::differentiate() {

@@ -117,7 +117,9 @@ bool note(PyObject* controller, Summary& summary) {
     if (PyObject_SetAttr(controller, names.refused, Py_False) != 0) return false;
   }
   const long before = PyLong_AsLong(failures.ptr());
-  const long now = (summary.flags & failed) != 0 ? before + 1 : 0;
+  if (before == -1 && PyErr_Occurred() != nullptr) return false;
+  const bool counts = (summary.flags & failed) != 0;
+  const long now = counts ? before + (before < std::numeric_limits<long>::max() ? 1 : 0) : 0;
   if (now == before) return true;
   const nb::object number = nb::steal(PyLong_FromLong(now));
   return number.is_valid() && PyObject_SetAttr(controller, names.failures, number.ptr()) == 0;

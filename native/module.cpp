@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <stdexcept>
 
@@ -21,7 +22,7 @@ using Matrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
 
-constexpr double longest = 1e6;  // s: a solve that may take longer has no end
+constexpr double longest = 1e6;  // s: a solve that may take longer has no end; rmrc::Engine
 
 /// Return an array of its own with a copy of n elements.
 Result copied(const double* values, int n) {
@@ -48,9 +49,11 @@ const char* name(rmrc::Status status) {
 }
 
 rmrc::QPSolver make_solver(int size, int rows, int equalities, int max_iter) {
-  if (size < 1 || rows < 0 || equalities < 0 || max_iter < 1) {
-    throw std::invalid_argument("a size is out of range");
-  }
+  if (size < 1 || max_iter < 1) throw std::invalid_argument("a size is out of range");
+  const auto all = static_cast<std::int64_t>(rows) + equalities;
+  rmrc::require_countable(std::max<std::int64_t>({rows, equalities, all, size + std::int64_t{4}}),
+                          size + std::int64_t{4});
+  if (rows < 0 || equalities < 0) throw std::invalid_argument("a size is out of range");
   return rmrc::QPSolver(size, rows, equalities, max_iter);
 }
 

@@ -109,12 +109,10 @@ void RowTerm::copy_row(int r, double* row) const {
   for (int k = 0; k < inside_; ++k) row[columns_[k]] = weighted_[r * stride_ + k];
 }
 
-void RowTerm::multiply(const double* v, double* out) const {
-  for (int r = 0; r < data_.rows; ++r) {
-    double sum = 0.0;
-    for (int k = 0; k < inside_; ++k) sum += jacobian_[r * stride_ + k] * v[columns_[k]];
-    out[r] = sum;
-  }
+double RowTerm::rate_of(int r, const double* v) const {
+  double sum = 0.0;
+  for (int k = 0; k < inside_; ++k) sum += jacobian_[r * stride_ + k] * v[columns_[k]];
+  return sum;
 }
 
 void RowTerm::measure(double* measures) const {

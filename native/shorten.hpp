@@ -28,6 +28,9 @@ class Shortening {
   /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
   void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
 
+  /// The rows whose barriers are checked.
+  const Rows& rows() const { return rows_; }
+
   /// Return how much of v (n,) keeps all distances after a step of dt, and on the way to rest
   /// behind it, with the brake (n,).
   Share share(const double* v, const double* brake, double dt);

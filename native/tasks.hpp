@@ -16,6 +16,7 @@ struct Stack {
   double* jacobian;     // J of the terms with rows (row_count, nv)
   const double* v_previous;  // (nv,)
   const int* place;          // column of each dof in the program (nv,); −1 where it stands still
+  int errors = 0, rows = 0;  // how long e is, and how many rows J has
 };
 
 /// A part of an error that acts on its task only up to a length.
@@ -67,10 +68,10 @@ class RowTerm {
   /// Return xᵀBx (rows,).
   double weighed_square(const double* x) const;
 
-  /// out = J v (rows,) for v of the program (n,).
-  void multiply(const double* v, double* out) const;
+  /// Return element r of J v, for v of the program (n,).
+  double rate_of(int r, const double* v) const;
 
-  /// Write the true errors, the distance and the angle, or one number twice.
+  /// Write the true errors (2,), the distance and the angle, or one number twice.
   virtual void measure(double* measures) const;
 
   const TermData& data() const { return data_; }

@@ -212,7 +212,7 @@ void test_loop() {
   rmrc::Loop loop({0, 7, 1.0, nullptr, nullptr, &moving, {}}, std::vector<double>(7, 1.0),
                   {{0, true, 0.7, {end(0, 0.3, 0.1), end(1, 0.2, 0.4)}}},
                   {{6, {{{0, 0, 1.0}}, 0.2}, {{{1, 1, 2.0}}, 0.1}, {0.1, 0.5, -0.3, 0.2, 0.4}}},
-                  mujoco, stack);
+                  std::vector<double>(7, 1.0), {0, 0, 0, 1, 1, 1, 1}, mujoco, stack);
   const auto evaluated = [&](double first, double second) {
     linkage.q[0] = first;
     linkage.q[1] = second;

@@ -1,6 +1,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,8 +66,8 @@ class Engine:
         self,
         *,
         functions: Sequence[int],
-        model: int,
-        data: int,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
         qpos: Array,
         cdof: Array,
         error: Array,
@@ -116,6 +117,8 @@ class Engine:
         rows: TermRows,
         pairs: list[tuple[int, bool, float, _Anchorage, _Anchorage]],
         polynomials: list[tuple[int, _Combination, _Combination, list[float]]],
+        scale: list[float],
+        angular: list[bool],
     ) -> None: ...
     def add_foreign(self, rows: TermRows) -> None: ...
     def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
@@ -173,7 +176,7 @@ def scaled(engine: Engine) -> bool: ...
 class Kinematics:
     """Where the arrays of an mjData stand."""
 
-    def __init__(self, data: int, arrays: Mapping[str, Array]) -> None: ...
+    def __init__(self, data: mujoco.MjData, arrays: Mapping[str, Array]) -> None: ...
 
 class Rows:
     """The rows of a step, in the arrays that it is given."""

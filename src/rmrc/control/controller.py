@@ -234,10 +234,14 @@ class Controller:
             self._evaluation.a_previous[:] = self._a
         return self._solved(valid, previous, dt)
 
+    @np.errstate(all="ignore")  # what is not finite shows in the residuals
     def _solved(self, q: Array, previous: Array, dt: float) -> Step:
         """Return a step of dt seconds from a valid q (nq,)."""
         solution = self.engine.solve(q, previous, dt)
-        self._progress.update(solution.v, dt)
+        if self.engine.evaluation.refused:
+            self._progress.reset()
+        else:
+            self._progress.update(solution.v, dt)
         return self._carried_out(q, solution, self._flags(solution), dt, previous)
 
     def resume(self, q: Array | None, dt: float) -> Step:
@@ -334,7 +338,9 @@ class Controller:
             self._refused = False
             flags |= _INVALID_INPUT
         engine = self.engine
-        if solution.status is not _SOLVED:
+        if engine.evaluation.refused:
+            flags |= _INVALID_INPUT
+        elif solution.status is not _SOLVED:
             flags |= _DEADLINE if solution.status is SolveStatus.TIME_LIMIT else _MAX_ITER
         if self._budget < math.inf and perf_counter() > engine.deadline:
             flags |= _DEADLINE

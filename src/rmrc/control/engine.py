@@ -146,7 +146,15 @@ class PythonEngine:
         """
         self.outside = self.prepare(q, v_previous, dt)
         self.scaled = False
+        if self.evaluation.refused:
+            return self._held_back(dt)
         return self._finished(self._best(), dt)
+
+    def _held_back(self, dt: float) -> Solution:
+        """Return the brake, for a step of which a part cannot be used; it keeps distances."""
+        solution = self._stop(Solution.at_rest(self._assembly.qp))
+        self.keep_distances(solution, dt)
+        return solution
 
     def _finished(self, solution: Solution, dt: float) -> Solution:
         """Return a solution, or what the rungs below have; shortened where it leads too far."""
@@ -168,7 +176,7 @@ class PythonEngine:
         outside = self._assemble(q, dt)
         if self._box_alone:
             return outside
-        equalities = assembly.equalities()
+        equalities = None if self.evaluation.refused else assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
         self._rows.update(assembly.qp, assembly.rate, dt)
         self._take_rows(equalities)
@@ -191,6 +199,9 @@ class PythonEngine:
         """Evaluate the terms and write the cost and the box; return whether a joint is outside."""
         self.evaluation.update(q)
         self.evaluation.evaluate()
+        if self.evaluation.refused:
+            self._assembly.rate[:] = 0.0
+            return self._assembly.assemble_box(q, dt)
         return self._assembly.assemble(q, dt)
 
     def _descend_ladder(self, failed: Solution) -> Solution:

@@ -1,7 +1,6 @@
 """Why a step is what it is: what binds, what each task asked for and got, what would help."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -195,17 +194,10 @@ def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:
     else:
         got = evaluation.jacobian[part][:, dofs] @ step.v[dofs]
     asked, gained = [], []
-    for rows in _halves(term):
+    for rows in term.unit_rows:
         wanted, reached = asked_for[rows], got[rows]
         length = math.sqrt(wanted.dot(wanted))
         asked.append(length)
         gained.append(float(wanted @ reached) / length if length > 0.0 else 0.0)
     error = tuple(float(value) for value in step.error[term.name])
     return Progressed(term.name, term.units, error, tuple(asked), tuple(gained))
-
-
-def _halves(term: Term) -> Sequence[slice]:
-    """Return the rows of each of a task's units."""
-    if term.rows == 6 and not term.joint:
-        return [half for half in (slice(3), slice(3, 6)) if term.diagonal[half].any()]
-    return [slice(None)]

@@ -149,7 +149,7 @@ class NativeEngine(PythonEngine):
             self._add(term, rows)
         self._adapt()
         self._foreign = [
-            evaluate
+            (kind, evaluate)
             for kind, evaluate in evaluation.evaluators.items()
             if kind not in _JOINT and not issubclass(kind, rows)
         ]
@@ -170,8 +170,8 @@ class NativeEngine(PythonEngine):
         model, data, qp, box = problem.model, evaluation.data, assembly.qp, problem.box
         return _native.Engine(
             functions=addresses(),
-            model=model._address,
-            data=data._address,
+            model=model,
+            data=data,
             qpos=data.qpos,
             cdof=self._cdof,
             error=evaluation.error,
@@ -245,7 +245,8 @@ class NativeEngine(PythonEngine):
                 native.add_coupling(rows, by_coordinate, by_dof, term.offset)
             case LoopTerm() if LoopTerm in kinds:
                 parts = LoopParts(self.problem.model, self.evaluation.data, self._moves, term)
-                native.add_loop(rows, parts.pairs, parts.polynomials)
+                scale, angular = term.scale.tolist(), term.angular.tolist()
+                native.add_loop(rows, parts.pairs, parts.polynomials, scale, angular)
             case _:
                 native.add_foreign(rows)
 
@@ -319,14 +320,16 @@ class NativeEngine(PythonEngine):
         """Evaluate all terms, the foreign ones after the others."""
         self._native.evaluate(q)
         self.evaluation.fill_constraints()
-        for evaluate in self._foreign:
-            evaluate()
+        self.evaluation.run(self._foreign)
 
     def _assemble(self, q: Array, dt: float) -> bool:
         self.behind = False
         self._evaluate(q)
         outside = self._native.assemble(dt)
-        self._assembly.add_mink_tasks(dt)
+        if self.evaluation.refused:
+            self._assembly.rate[:] = 0.0
+        else:
+            self._assembly.add_mink_tasks(dt)
         return outside
 
     def _new_backend(self) -> Backend:
@@ -362,6 +365,8 @@ class NativeEngine(PythonEngine):
         self.evaluation.v_previous[:] = v_previous
         if self._foreign:
             self._evaluate(q)
+            if self.evaluation.refused:
+                return super().solve(q, v_previous, dt)
         seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
         status, iterations, *kkt, self.outside, share, relaxed, done = self._native.solve(

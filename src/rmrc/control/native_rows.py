@@ -35,7 +35,7 @@ ARRAYS = (
 def kinematics(data: mujoco.MjData, cdof: Array) -> _native.Kinematics:
     """Return where the arrays of an mjData stand, and the axes of the dofs (nv, 6)."""
     arrays = {name: getattr(data, name) for name in ARRAYS} | {"cdof": cdof}
-    return _native.Kinematics(data._address, arrays | {"reference": data.xpos})
+    return _native.Kinematics(data, arrays | {"reference": data.xpos})
 
 
 class NativeRows(Rows):

@@ -4,6 +4,7 @@ import math
 
 import mujoco
 import numpy as np
+from mink.tasks import BaseTask
 from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
@@ -13,6 +14,7 @@ from rmrc.problem.tasks.base import Term
 from rmrc.qp.cascade import Level
 from rmrc.qp.damping import Damping, largest_square
 from rmrc.qp.equalities import Equalities
+from rmrc.qp.foreign import checked
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
@@ -163,6 +165,10 @@ class Assembly:
         """Write the program at q (nq,) for a step of dt; return whether a joint is outside."""
         self._assemble_objective(dt)
         self.add_mink_tasks(dt)
+        return self.assemble_box(q, dt)
+
+    def assemble_box(self, q: Array, dt: float) -> bool:
+        """Write the box alone; return whether a joint is outside."""
         v_previous, a_previous = self._evaluation.v_previous, self._evaluation.a_previous
         if not self._all:
             v_previous, a_previous = v_previous[self._dofs], a_previous[self._dofs]
@@ -216,19 +222,26 @@ class Assembly:
 
     def add_mink_tasks(self, dt: float) -> None:
         """Add mink's tasks, whose variable is Δq = v dt: divided by dt², W Δq ≈ r is W v ≈ r/dt."""
-        qp, dofs = self.qp, self._dofs
-        configuration = self._evaluation.configuration
         for task in self._problem.mink_tasks:
-            residual = task.compute_qp_residual(configuration)
-            if residual is None:
-                objective = task.compute_qp_objective(configuration)
-                qp.H += self.unit * objective.H[np.ix_(dofs, dofs)]
-                qp.g += self.unit * objective.c[dofs] / dt
-                continue
-            columns = residual[0][:, dofs]
-            qp.H += self.unit * columns.T @ columns
-            qp.H.flat[:: dofs.size + 1] += self.unit * residual[2]
-            qp.g -= self.unit * residual[1] @ columns / dt
+            self._evaluation.attempt(type(task).__name__, self._add_mink_task, task, dt)
+
+    def _add_mink_task(self, task: BaseTask, dt: float) -> None:
+        qp, dofs, nv = self.qp, self._dofs, self._problem.model.nv
+        configuration = self._evaluation.configuration
+        residual = task.compute_qp_residual(configuration)
+        if residual is None:
+            objective = task.compute_qp_objective(configuration)
+            hessian = checked("H", objective.H, (nv, nv))
+            gradient = checked("c", objective.c, (nv,))
+            qp.H += self.unit * hessian[np.ix_(dofs, dofs)]
+            qp.g += self.unit * gradient[dofs] / dt
+            return
+        jacobian, error, damping = residual
+        columns = checked("J", jacobian, (None, nv))[:, dofs]
+        wanted, mu = checked("e", error, (len(columns),)), checked("damping", damping, ())
+        qp.H += self.unit * columns.T @ columns
+        qp.H.flat[:: dofs.size + 1] += self.unit * mu
+        qp.g -= self.unit * wanted @ columns / dt
 
     def metric(self) -> Array:
         """Return A (n, n) at the present assembly, in the configuration's own unit."""

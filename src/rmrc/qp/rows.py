@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+import mink
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +11,7 @@ from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
+from rmrc.qp.foreign import checked
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
@@ -160,12 +162,20 @@ class Rows:
 
     def _mink_rows(self, dt: float) -> list[tuple[Array, Array]]:
         """Return the rows C v ≤ hi of mink's limits, which say G Δq ≤ h."""
-        found = []
+        found: list[tuple[Array, Array]] = []
         for limit in self._problem.mink_limits:
-            constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
-            if constraint.G is not None and constraint.h is not None:
-                found.append((constraint.G[:, self._problem.dofs], constraint.h / dt))
+            self._evaluation.attempt(type(limit).__name__, self._add_mink_rows, found, limit, dt)
         return found
+
+    def _add_mink_rows(
+        self, found: list[tuple[Array, Array]], limit: mink.Limit, dt: float
+    ) -> None:
+        constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
+        if constraint.G is None or constraint.h is None:
+            return
+        rows = checked("G", constraint.G, (None, self._problem.model.nv))
+        upper = checked("h", constraint.h, (len(rows),), unlimited=True)
+        found.append((rows[:, self._problem.dofs], upper / dt))
 
     def kept(self) -> "KeptRows":
         """Return what the present rows are of, for later."""

@@ -153,6 +153,11 @@ class Term(ABC):
         """Units of the true errors that `measure` returns; empty where there is none."""
         return ()
 
+    @property
+    def unit_rows(self) -> tuple[NDArray[np.intp], ...]:
+        """The rows of the error that each of `units` is of."""
+        return (np.arange(self.rows),) * len(self.units)
+
     def measure(self, error: Array) -> Array:
         """Return the true errors, in `units`, that the error vector e (rows,) stands for."""
         return np.array([np.sqrt(error @ error)])[: len(self.units)]

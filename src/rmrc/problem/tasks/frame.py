@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, ValidationInfo, field_validator
 
 from rmrc.config.base import Frame, Model, Positive, Weight
@@ -140,6 +141,11 @@ class PoseTerm(Term):
     def units(self) -> tuple[str, ...]:
         """The distance and the angle, each where it has a weight."""
         return tuple(compress(("m", "rad"), self.weighed))
+
+    @property
+    def unit_rows(self) -> tuple[NDArray[np.intp], ...]:
+        """Those of the position and those of the orientation."""
+        return tuple(compress(np.arange(6).reshape(2, 3), self.weighed))
 
     def measure(self, error: Array) -> Array:
         """Return the distance in m and the angle in rad, each where it has a weight."""

@@ -136,6 +136,12 @@ class LoopTerm(Term):
         return tuple(compress(("m", "rad"), self._kinds))
 
     @property
+    def unit_rows(self) -> tuple[NDArray[np.intp], ...]:
+        """Those of the gaps and those of the angles."""
+        rows = np.flatnonzero(~self.angular), np.flatnonzero(self.angular)
+        return tuple(compress(rows, self._kinds))
+
+    @property
     def _kinds(self) -> tuple[bool, bool]:
         return (not self.angular.all(), bool(self.angular.any()))
 
