@@ -232,4 +232,9 @@ def run_batch(rng: Generator, problem: rmrc.Problem) -> int:
         assert (step.flags >= 0).all()
         if rng.random() < 0.1:
             batch.reset()
+    # What a controller's engine remembers was the batch's memory.
+    first = getattr(cast(Any, batch)._elements, "_first", None)
+    del batch
+    if first is not None:
+        assert np.isfinite(first.step().v).all()
     return count * n

@@ -1,4 +1,4 @@
-"""Random trees of joints with all that MuJoCo hangs on them, and random stacks of tasks on these."""
+"""Random trees of joints with all that MuJoCo hangs on them, and random stacks of tasks."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
