@@ -103,6 +103,20 @@ class BoundRows {
 
   Rows& operator*() { return *rows_; }
 
+  void know(double resolution, std::vector<bool> turning,
+            const std::vector<std::tuple<int, int, double, double, int, std::vector<int>>>& slides,
+            Reading twist) {
+    std::vector<Slide> made;
+    for (const auto& [coordinate, dof, zero, counted, mocap, before] : slides) {
+      made.push_back({coordinate, dof, zero, counted, mocap, before});
+    }
+    if (turning.size() != static_cast<std::size_t>(rows_->mujoco().nv)) {
+      throw std::invalid_argument("turning has a wrong size");
+    }
+    kept_.push_back(nb::cast(twist));
+    rows_->know(resolution, std::move(turning), Slides(std::move(made), twist.data()));
+  }
+
   void add_speed(Reading position, Reading rotation, Reading reference, std::vector<int> dofs,
                  bool turned, double linear, double angular, Reading rate) {
     if (position.size() != 3 || rotation.size() != 9 || reference.size() != 3 ||
@@ -150,6 +164,7 @@ class BoundRows {
     a.sign = fields.doubles("sign", p);
     a.carries = fields.doubles("carries", p * nv);
     a.moves = fields.doubles("moves", p * nv);
+    a.precision = fields.doubles("precision", 2);
     a.twist = twist.data();
     a.bound = fields.doubles("bound", p);
     a.threshold = fields.doubles("threshold", p);
@@ -240,6 +255,8 @@ void bind_rows(nb::module_& m) {
                     Writing, Integers, Writing, Writing, Writing>(),
            nb::kw_only(), "engine"_a, "now"_a, "inverse_acceleration"_a, "matrix"_a, "lower"_a,
            "upper"_a, "multiplier"_a, "ids"_a, "distance"_a, "slope"_a, "drift"_a)
+      .def("know", &BoundRows::know, nb::kw_only(), "resolution"_a, "turning"_a, "slides"_a,
+           "twist"_a)
       .def("add_speed", &BoundRows::add_speed, nb::kw_only(), "position"_a, "rotation"_a,
            "reference"_a, "dofs"_a, "turned"_a, "linear"_a, "angular"_a, "rate"_a)
       .def("add_collision", &BoundRows::add_collision, nb::kw_only(), "d_min"_a, "detect"_a,

@@ -80,6 +80,8 @@ class Shortening {
   void move_obstacles(double dt);
 
   const Rows& rows_;
+  Slides slides_;
+  double tolerance_, noise_;  // how far below 0 a distance may be, and may fall by rounding
   MuJoCo mujoco_;
   Kinematics own_;
   ForwardKinematics* kinematics_ = nullptr;
@@ -91,7 +93,7 @@ class Shortening {
   Path path_;
   double dt_ = 0.0;
   std::vector<double> command_;                            // (n,)
-  std::vector<double> step_, fast_, turn_, bent_, moved_;  // over all dofs (nv,)
+  std::vector<double> step_, fast_, change_, bent_, moved_;  // over all dofs (nv,)
 
   std::vector<Entry> entries_;
   std::vector<int> all_, some_;

@@ -89,7 +89,7 @@ class PythonEngine:
         return Rows(self.problem, self.evaluation)
 
     def _new_shortening(self) -> Shortening:
-        return Shortening(self.problem)
+        return Shortening(self.problem, self.evaluation.obstacle_twist)
 
     def _new_backend(self) -> Backend:
         solver = self.problem.config.solver
@@ -306,7 +306,7 @@ class PythonEngine:
             return
         evaluation, brake = self.evaluation, self._brake()
         self.share, passed = self._shortening.share(
-            evaluation.data, evaluation.obstacle_twist, solution.v, brake, self._rows.blocks, dt
+            evaluation.data, solution.v, brake, self._rows.blocks, dt
         )
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
@@ -341,8 +341,8 @@ class PythonEngine:
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._shortening is None or untouched or not self._in_time():
             return solution
-        end = self._shortening.end(evaluation.data, evaluation.obstacle_twist, whole, dt)
-        if not raise_rows(qp, self._rows.blocks, end, dt):
+        end = self._shortening.end(evaluation.data, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, end, dt, self.problem.resolution):
             return solution
         corrected = self._best()
         if not self._trusted(corrected):
