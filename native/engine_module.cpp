@@ -70,7 +70,7 @@ class BoundEngine {
               std::vector<int> dofs, Numbers hessian, double unit, double share_of_inertia,
               double floor,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                               Numbers, double>& limits,
+                               Numbers, Numbers, std::vector<int>>& limits,
               Writing H, Writing g, Writing added_damping, Writing inertia, Writing lb, Writing ub,
               int max_iter)
       : kept_{nb::cast(qpos),      nb::cast(cdof),       nb::cast(error),     nb::cast(feedforward),
@@ -106,18 +106,24 @@ class BoundEngine {
         static_cast<int>(nv),
         qpos.data(),
         cdof.data()};
-    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step] = limits;
-    for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk}) {
+    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step, balls] = limits;
+    for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk, &step}) {
       require(*values, n, "a limit");
     }
     require(coordinate, n, "a limit");
+    for (const int first : balls) {
+      if (first < 0 || static_cast<std::size_t>(first) + 3 > n) {
+        throw std::invalid_argument("a ball joint is not among the dofs");
+      }
+    }
     engine_ = std::make_unique<Engine>(
         mujoco,
         Stack{error.data(), feedforward.data(), jacobian.data(), v_previous.data(), place_.data()},
         ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(),
                       added_damping.data(), inertia.data(), a_previous.data()},
         Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor},
-        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step}, max_iter);
+        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step, balls},
+        max_iter);
   }
 
   void limit(nb::object rows, nb::object shortening) {
@@ -344,7 +350,7 @@ void bind_engine(nb::module_& m) {
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,
                     std::vector<int>, Numbers, double, double, double,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                                     Numbers, double>&,
+                                     Numbers, Numbers, std::vector<int>>&,
                     Writing, Writing, Writing, Writing, Writing, Writing, int>(),
            nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a, "cdof"_a, "error"_a,
            "feedforward"_a, "rate"_a, "jacobian"_a, "v_previous"_a, "a_previous"_a, "dofs"_a,

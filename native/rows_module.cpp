@@ -224,9 +224,10 @@ class BoundRows {
 
 class BoundShortening {
  public:
-  BoundShortening(nb::object rows, const BoundKinematics& own, Numbers deceleration, Reading twist)
+  BoundShortening(nb::object rows, const BoundKinematics& own, Numbers deceleration,
+                  std::vector<int> balls, Reading twist)
       : kept_{rows, own.kept, nb::cast(twist)},
-        native_(rows_of(rows), own.arrays, std::move(deceleration), twist.data(),
+        native_(rows_of(rows), own.arrays, std::move(deceleration), std::move(balls), twist.data(),
                 static_cast<int>(twist.size() / 6)) {}
 
   void follow(nb::object kinematics) {
@@ -277,8 +278,8 @@ void bind_rows(nb::module_& m) {
       .def_prop_ro("count", [](BoundRows& bound) { return (*bound).count(); })
       .def_prop_ro("passed", [](BoundRows& bound) { return (*bound).passed(); });
   nb::class_<BoundShortening>(m, "Shortening", "How much of a command may be carried out.")
-      .def(nb::init<nb::object, const BoundKinematics&, Numbers, Reading>(), nb::kw_only(),
-           "rows"_a, "own"_a, "deceleration"_a, "twist"_a)
+      .def(nb::init<nb::object, const BoundKinematics&, Numbers, std::vector<int>, Reading>(),
+           nb::kw_only(), "rows"_a, "own"_a, "deceleration"_a, "balls"_a, "twist"_a)
       .def("follow", &BoundShortening::follow, "kinematics"_a,
            "Place what the barriers look at by these, in place of MuJoCo's.")
       .def(

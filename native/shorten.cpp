@@ -25,7 +25,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 }  // namespace
 
 Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
-                       const double* twist, int mocaps)
+                       std::vector<int> balls, const double* twist, int mocaps)
     : rows_(rows),
       slides_(rows.slides()),
       tolerance_(tolerance * rows.resolution()),
@@ -35,7 +35,7 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
       twist_(twist),
       mocaps_(mocaps),
       n_(static_cast<int>(rows.dofs().size())),
-      path_(std::move(deceleration)),
+      path_(std::move(deceleration), std::move(balls)),
       command_(n_),
       step_(mujoco_.nv),
       fast_(mujoco_.nv),
@@ -62,22 +62,19 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
   }
 }
 
-// Find the entries that a motion with v, or with the brake if there is one, could carry below their
-// limit; false if there are too many steps to rest.
+// Find the entries that a motion with v, or with any share between it and the brake if there is one,
+// could carry below their limit; false if there are too many steps to rest.
 bool Shortening::watch(const double* v, const double* brake, double dt) {
   dt_ = dt;
   std::fill(step_.begin(), step_.end(), 0.0);
-  double* way = ahead_[0].look.way.data();
-  for (const double* command : {brake, v}) {
-    if (command == nullptr) continue;
-    path_.set_out(command, dt);
-    if (!(path_.last() <= most_steps)) return false;
-    path_.way(path_.last(), way);
-    for (int i = 0; i < n_; ++i) {
-      double& step = step_[rows_.dofs()[i]];
-      step = std::max(step, std::abs(way[i]));
-    }
+  for (int i = 0; i < n_; ++i) {
+    command_[i] = brake == nullptr ? v[i] : std::max(std::abs(v[i]), std::abs(brake[i]));
   }
+  path_.set_out(command_.data(), dt);
+  if (!(path_.last() <= most_steps)) return false;
+  double* way = ahead_[0].look.way.data();
+  path_.way(path_.last(), way);
+  for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = std::abs(way[i]);
   slides_.begin(rows_.now().qpos, step_.data());
   slides_.stretch(step_.data(), dt);
   count_ = 0;

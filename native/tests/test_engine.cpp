@@ -142,7 +142,7 @@ struct Fixture {
         rmrc::ProgramArrays{H.data(), g, lb, ub, rate, &added, inertia.data(), a_previous},
         rmrc::Constants{{0, 1, 2, 3, 4}, constant, 1.0, 1e-3, 1e-4},
         rmrc::JointLimits{{0, 1, 2, 3, 4}, every(-2.0), every(2.0), 0.95, every(fastest),
-                          every(strongest), every(jerk)},
+                          every(strongest), every(jerk), every(infinity), {}},
         1000);
     add_tasks();
     std::vector<rmrc::TaskedRow> tasked;
@@ -257,8 +257,8 @@ struct LimitedFixture : Fixture {
     rows->add(std::make_unique<rmrc::Workspace>(std::move(planes), 0.85, 0.1, nullptr, joints));
     rows->add(std::make_unique<rmrc::Collision>(pairs(), engine->mujoco()));
     shortening = std::make_unique<rmrc::Shortening>(*rows, arrays_of(own),
-                                                    std::vector<double>(joints, strongest), nullptr,
-                                                    0);
+                                                    std::vector<double>(joints, strongest),
+                                                    std::vector<int>{}, nullptr, 0);
     engine->limit(*rows, shortening.get());
   }
 

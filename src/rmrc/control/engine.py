@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rmrc.control.correct import raise_rows
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.limits.box import braking
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
@@ -72,6 +73,8 @@ class PythonEngine:
         self._solvers: dict[tuple[int, int, bool], _Solver] = {}
         self._solver = self._solver_of(self._assembly.qp)
         hard = any(term.hard for term in self.evaluation.terms)
+        self._dt = problem.dt
+        """Length of the present step, s."""
         self._box_alone = not (self._rows.any or hard)
         self._cascade = Cascade(problem.dofs.size, self._new_backend) if problem.cascaded else None
         self.deadline = math.inf
@@ -164,6 +167,7 @@ class PythonEngine:
         Return whether a joint is outside its range, or a distance below its limit.
         """
         assembly = self._assembly
+        self._dt = dt
         self.evaluation.v_previous[:] = v_previous
         outside = self._assemble(q, dt)
         if self._box_alone:
@@ -294,9 +298,16 @@ class PythonEngine:
         return failed
 
     def _brake(self) -> Array:
-        """Return the point of the box nearest to rest."""
-        qp = self._assembly.qp
-        v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
+        """Return the point of the box nearest to rest; a ball joint goes on about its axis."""
+        qp, box = self._assembly.qp, self.problem.box
+        v = np.zeros(qp.g.size)
+        if box.balls.size:
+            before = self.evaluation.v_previous[self.problem.dofs]
+            steps, _ = braking(box, np.abs(before), self._dt)
+            some = (box.balls[:, None] + np.arange(3)).ravel()
+            some = some[steps[some] > 1.0]
+            v[some] = before[some] - before[some] / steps[some]
+        v = np.clip(v, qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
 
     def keep_distances(self, solution: Solution, dt: float) -> None:

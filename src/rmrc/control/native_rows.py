@@ -173,7 +173,8 @@ class NativeShortening(Shortening):
         self.native = _native.Shortening(
             rows=rows.native,
             own=kinematics(self._data, cdof),
-            deceleration=self._deceleration.tolist(),
+            deceleration=self._box.acceleration.tolist(),
+            balls=self._box.balls.tolist(),
             twist=self._twist,
         )
         watched = native_kinematics.of_barriers(rows.barriers)

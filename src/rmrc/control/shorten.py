@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.problem.configuration import turning_dofs
+from rmrc.problem.limits.box import Box, braking
 from rmrc.problem.limits.collision import Collision
 from rmrc.problem.limits.slides import Slides
 from rmrc.problem.problem import Problem
@@ -41,10 +42,10 @@ class _Path:
     all joints rest.
     """
 
-    def __init__(self, v: Array, deceleration: Array, dt: float):
+    def __init__(self, v: Array, box: Box, dt: float):
         self._sign, self._speed, self.dt = np.sign(v), np.abs(v), dt
-        change = deceleration * dt
-        self._count = np.floor(self._speed / change)
+        steps, change = braking(box, self._speed, dt)
+        self._count = np.floor(steps)
         self._change = np.where(change < math.inf, change, 0.0)  # no ∞ · 0
         self._half = 0.5 * self._change
         self.last = 1 + int(self._count.max())
@@ -160,8 +161,8 @@ class Shortening:
         """`twist` (nmocap, 6) are the velocities of the mocap bodies; whoever moves them writes."""
         self._model, self._dofs = problem.model, problem.dofs
         self._data = mujoco.MjData(problem.model)
-        self._deceleration = problem.box.acceleration
-        self._slows = bool(np.isfinite(self._deceleration).all())
+        self._box = problem.box
+        self._slows = bool(np.isfinite(problem.box.acceleration).all())
         self._slides, self._twist = Slides(problem.model, twist), twist
         self._turning = turning_dofs(problem.model)
         self._resolution, self._tolerance = problem.resolution, TOLERANCE * problem.resolution
@@ -179,8 +180,8 @@ class Shortening:
             blocks: The barriers that are near.
             dt: Length of the step, s.
         """
-        whole, rest = (_Path(command, self._deceleration, dt) for command in (v, brake))
-        watched = self._watched(data, [whole], blocks)
+        whole, rest = (_Path(command, self._box, dt) for command in (v, brake))
+        watched = self._watched(data, whole, blocks)
         if not watched:
             return 1.0, False
         self._start[:], self._still = data.qpos, not self._twist.any()
@@ -189,13 +190,15 @@ class Shortening:
         look = self._worst(whole, watched)
         if look.least >= 0.0:
             return 1.0, False
-        watched = self._watched(data, [whole, rest], blocks)
+        # No joint is faster, or takes longer to rest, at any share between the two.
+        fastest = _Path(np.maximum(np.abs(v), np.abs(brake)), self._box, dt)
+        watched = self._watched(data, fastest, blocks)
         high = 1.0
         for trial in range(TRIALS):
             high = self._guess(look, (v, brake), high, dt) * (1.0 - LEAST_PART * trial)
             if high == 0.0:
                 break
-            look = self._worst(_Path(brake + high * (v - brake), self._deceleration, dt), watched)
+            look = self._worst(_Path(brake + high * (v - brake), self._box, dt), watched)
             if look.least >= 0.0:
                 return high, False
         # What the step before has left may be used up by rounding.
@@ -208,12 +211,9 @@ class Shortening:
         self._place(v * dt)
         return self._data
 
-    def _watched(
-        self, data: mujoco.MjData, paths: list[_Path], blocks: list[Block]
-    ) -> list[_Watched]:
-        """Return the entries that a motion on one of the paths could carry below their limit."""
-        ways = [np.abs(path.way(path.last)) for path in paths]
-        step, dt, watched = self._over_all(np.maximum.reduce(ways)), paths[0].dt, []
+    def _watched(self, data: mujoco.MjData, path: _Path, blocks: list[Block]) -> list[_Watched]:
+        """Return the entries that a motion no longer than a path could carry below their limit."""
+        step, dt, watched = self._over_all(np.abs(path.way(path.last))), path.dt, []
         self._slides.begin(data.qpos, step)
         self._slides.stretch(step, dt)
         for block in blocks:
@@ -246,7 +246,7 @@ class Shortening:
         (v, brake), each, entry = ends, look.worst[0], np.array([look.worst[1]])
         low, room_low, room_high, share = 0.0, math.inf, look.least, 0.0
         for _ in range(GUESSES):
-            path = _Path(brake + share * (v - brake), self._deceleration, dt)
+            path = _Path(brake + share * (v - brake), self._box, dt)
             self._place(path.way(look.place))
             room = float(each.measured(self._data, entry)[0])
             if room < 0.0:

@@ -42,8 +42,8 @@ Result = TypeVar("Result")
 MOST_STEPS = 10_000_000
 """Steps of a run, whose arrays are allocated at its start."""
 LONGEST_STEP = 10.0
-"""Most that a joint moves in a step beside distances that are kept, rad or m, and lengths of a
-robot of more than 1 m: what a longer one could come to is not looked at."""
+"""Most that a joint moves in a step beside distances that are kept, rad or m, and in lengths of a
+robot that is longer than 1 m: what a longer one could come to is not looked at."""
 SLIDE_TRAVEL = 10.0
 """Travel in m from its zero that a slide without a range counts with in the length of a robot."""
 
@@ -101,6 +101,8 @@ class _Compiler:
         moving = np.arange(model.nv) if dofs is None else dofs
         terms = tuple(_clamped(term, model, box) for term in terms)
         barriers = compile_barriers(model, config.limits, start, moving, mistakes, notices)
+        if barriers:
+            box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
         speeds = compile_speeds(config.limits, terms, mistakes)
         self._try_solver()
         self._try_mink(mink_tasks, mink_limits, model, start)
@@ -126,7 +128,7 @@ class _Compiler:
             damping=config.damping.lambda_,
             soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
             strict=strict,
-            box=replace(select(box, dofs), step=_longest_step(model) if barriers else math.inf),
+            box=select(box, dofs),
             notices=(
                 *notices,
                 *_damping_notices(config, bool(metric.any() or inertia)),
@@ -214,10 +216,6 @@ def _clamped(term: Term, model: mujoco.MjModel, box: Box) -> Term:
     if moving[free_dofs(model)].any():
         return term
     return replace(term, clamp=(2.0 * longest, term.clamp[1]))
-
-
-def _longest_step(model: mujoco.MjModel) -> float:
-    return LONGEST_STEP * max(1.0, size(model))
 
 
 def _damping_notices(config: Config, metric: bool) -> list[str]:

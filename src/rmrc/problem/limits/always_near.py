@@ -99,7 +99,7 @@ class _Search:
         near, best = np.arange(count), np.full(count, -np.inf)
         way = np.zeros((count, self._model.nv))
         for k in range(1 + CONFIGURATIONS):
-            tried = self._random(rng, at_ends=k % 2 == 0) if k else way[0].copy()
+            tried = self._random(rng, at_ends=k % 2 == 0) if k else np.zeros(self._model.nv)
             self._place(tried)
             distance = np.array([self._distance(pair) for pair in near.tolist()])
             better = distance > best[near]
