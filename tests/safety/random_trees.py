@@ -51,7 +51,7 @@ class _Tree:
         place, turn = self._vector(0.05), self._rng.normal(size=4)
         return (
             f'<geom name="{name}" type="{kind}" size="{_text(size)}" pos="{_text(place)}"'
-            f' quat="{_text(turn)}"/>'
+            f' quat="{_text(turn)}" mass="1"/>'
         )
 
     def _body(self, joints: int, root: bool) -> str:
@@ -74,9 +74,8 @@ class _Tree:
         kind = str(rng.choice(["hinge", "slide", "ball"], p=[0.55, 0.33, 0.12]))
         anchor, axis = self._vector(0.05), rng.normal(size=3)
         text = f'<joint name="{name}" type="{kind}" pos="{_text(anchor)}"'
-        ends = rng.uniform(0.02, 0.4, 2) * self._scale if kind == "slide" else rng.uniform(0.2, 4, 2)
-            self._scale * rng.uniform(0.02, 0.4, 2) if kind == "slide" else rng.uniform(0.2, 4, 2)
-        )
+        low, high, by = (0.02, 0.4, self._scale) if kind == "slide" else (0.2, 4.0, 1.0)
+        ends = by * rng.uniform(low, high, 2)
         if kind != "ball":
             text += f' axis="{_text(axis)}"'
             if rng.random() < 0.5:
