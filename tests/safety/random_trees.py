@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rmrc
+from models import config
 
 Array = NDArray[np.float64]
 
@@ -158,14 +159,14 @@ def case(seed: int, scale: float, folder: Path) -> Case:
         "d_min": d_min * scale,
         "detect": (d_min + rng.uniform(0.01, 0.1)) * scale,
     }
-    config = rmrc.Config(
-        scene=str(path),
+    made = config(
+        str(path),
+        [{"name": "joints", "type": "posture", "gain": rng.uniform(2, 20)}],
         dt=float(10.0 ** rng.uniform(-4, -1)),
         start={name: value * size[name] for name, value in start.items()} or None,
-        tasks=[{"name": "joints", "type": "posture", "gain": rng.uniform(2, 20)}],
         limits=limits,
     )
-    return Case(rmrc.compile(config), model, scale, pairs, d_min)
+    return Case(rmrc.compile(made), model, scale, pairs, d_min)
 
 
 def _apart(model: mujoco.MjModel, start: dict[str, float], d_min: float) -> NDArray[np.intp]:

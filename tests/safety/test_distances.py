@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from random_trees import FAR, case
 
 import rmrc
+from models import config
+from rmrc.control.engines import Choice
 from rmrc.problem.limits.distance import signed_distance
 
 Array = NDArray[np.float64]
 
-ENGINES = ("python", "native") if find_spec("rmrc._native") else ("python",)
+ENGINES: tuple[Choice, ...] = ("python", "native") if find_spec("rmrc._native") else ("python",)
 PASSED = 1e-6
 """What a distance may be below `d_min`, m; of a robot shorter than 0.1 m 1e-5 of its length."""
 JUDGED = 3e-6
@@ -43,13 +45,19 @@ SHIP = """<mujoco><worldbody>
 
 
 def least(
-    scene: str, folder: Path, engine: str, pair: tuple[str, str], goal: Array, steps: int, **config
+    scene: str,
+    folder: Path,
+    engine: Choice,
+    pair: tuple[str, str],
+    goal: Array,
+    steps: int,
+    **others: object,
 ) -> float:
     """Return the least distance of two geoms on the way to a goal, by MuJoCo."""
     path = folder / "scene.xml"
     path.write_text(scene)
     task = {"name": "joints", "type": "posture", "gain": 5.0}
-    problem = rmrc.compile(rmrc.Config(scene=str(path), tasks=[task], **config))
+    problem = rmrc.compile(config(str(path), [task], **others))
     controller, data = rmrc.Controller(problem, engine), mujoco.MjData(problem.model)
     controller.set_target("joints", q=goal)
     geoms = sorted((problem.model.geom(name).id for name in pair), key=problem.model.geom_type.item)
@@ -74,7 +82,7 @@ def least(
     ids=["range", "range, acceleration", "off", "none"],
 )
 def test_a_slide_beyond_the_models_range_has_its_own_lever(
-    rail: str, position: object, far: float, dt: float, acceleration: object, engine: str,
+    rail: str, position: object, far: float, dt: float, acceleration: object, engine: Choice,
     tmp_path: Path,
 ) -> None:  # fmt: skip
     limits = {
@@ -122,11 +130,9 @@ def compiled(rail: str, position: object, start: float, folder: Path) -> list[st
     pairs = [["tool", "wall"], ["other", "wall"]]
     collision = {"pairs": pairs, "d_min": 0.05, "detect": 0.1}
     limits = {"position": position, "collision": collision}
-    config = rmrc.Config(
-        scene=str(path), dt=0.01, start={"rail": start}, limits=limits,
-        tasks=[{"name": "joints", "type": "posture"}],
-    )  # fmt: skip
-    return [notice for notice in rmrc.compile(config).notices if "wherever" in notice]
+    task = {"name": "joints", "type": "posture"}
+    problem = rmrc.compile(config(str(path), [task], start={"rail": start}, limits=limits))
+    return [notice for notice in problem.notices if "wherever" in notice]
 
 
 def test_a_named_pair_is_left_out_where_the_config_keeps_it_together_and_is_named(
@@ -147,7 +153,7 @@ def test_a_named_pair_is_left_out_where_the_config_keeps_it_together_and_is_name
 @pytest.mark.parametrize("acceleration", ["off", {"default": 5.0}], ids=["free", "slow"])
 @pytest.mark.parametrize(("d_min", "detect"), [(20.0, 60.0), (120.0, 150.0)])
 def test_far_distances_hold(
-    d_min: float, detect: float, acceleration: object, engine: str, tmp_path: Path
+    d_min: float, detect: float, acceleration: object, engine: Choice, tmp_path: Path
 ) -> None:
     limits = {
         "velocity": {"default": 20.0},
@@ -188,7 +194,7 @@ def test_a_capsule_and_a_box_are_measured_at_every_scale(scale: float) -> None:
     assert compared > 200
 
 
-def check(seed: int, scale: float, engine: str, steps: int, folder: Path) -> None:
+def check(seed: int, scale: float, engine: Choice, steps: int, folder: Path) -> None:
     """Take steps through goals about the start, and hold every one to all distances."""
     robot, rng = case(seed, scale, folder), np.random.default_rng(seed)
     controller, data = rmrc.Controller(robot.problem, engine), mujoco.MjData(robot.unit)

@@ -70,7 +70,7 @@ class NativeRows(Rows):
         self.native.know(
             resolution=problem.resolution,
             turning=turning_dofs(model).tolist(),
-            slides=self._slides.arrays(),
+            slides=self._slides.described(),
             twist=evaluation.obstacle_twist,
         )
         self._moves = dofs_of_bodies(model)

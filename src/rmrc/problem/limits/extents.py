@@ -103,7 +103,7 @@ def size(model: mujoco.MjModel) -> float:
     solid = np.where(model.geom_type == _PLANE, 0.0, extents(model))
     reach, turning, longest = np.zeros(model.nbody), turning_dofs(model), 0.0
     np.maximum.at(reach, model.geom_bodyid, solid)
-    for body in dofs_of_bodies(model).any(axis=1).nonzero()[0].tolist():
+    for body in np.flatnonzero(dofs_of_bodies(model).any(axis=1)).tolist():
         levers_of_turning = body_levers(model, body, reach[body])[: model.nv][turning]
         longest = max(longest, reach[body], levers_of_turning.max(initial=0.0))
     return longest or 1.0

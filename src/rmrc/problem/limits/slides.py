@@ -55,7 +55,7 @@ class Slides:
         turn[on_mocap] += np.abs(self._twist[self._mocap[on_mocap], 3:]).sum(axis=1) * dt
         step[self._dof] += turn * self._beyond
 
-    def arrays(self) -> list[tuple[Any, ...]]:
+    def described(self) -> list[tuple[Any, ...]]:
         """Return what the extension knows of each slide: see `native/slides.hpp`."""
         before = [row.nonzero()[0].tolist() for row in self._before]
         columns = (self._coordinate, self._dof, self._zero, self._counted, self._mocap)
