@@ -7,9 +7,10 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.correct: ENOUGH and SPARE; and rmrc.qp.rows.FASTEST.
+// rmrc.control.correct: ENOUGH, SPARE and INSIDE; and rmrc.qp.rows.FASTEST.
 constexpr double enough = 1.1;
-constexpr double spare = 1e-7;
+constexpr double spare = 0.1;
+constexpr double inside = 1e-7;
 constexpr double fastest_rate = 1e6;
 
 }  // namespace
@@ -24,18 +25,19 @@ bool Correction::raise_rows(const Kinematics& end, const double* lb, const doubl
     fell_short = true;
     for (int row = block.first; row < block.first + block.count; ++row) {
       const double most = fastest(row, lb, ub);
-      lower_[row] = std::min(lower_[row], most - spare * std::abs(most));
+      lower_[row] = std::min(lower_[row], most - inside * std::abs(most));
     }
   }
   return fell_short;
 }
 
 bool Correction::raise_block(const Block& block, const Kinematics& end, double dt) {
+  const double aside = spare * rows_.resolution();
   bool fell_short = false;
   for (int row = block.first; row < block.first + block.count; ++row) {
     const double after = block.barrier->distance(end, static_cast<int>(rows_.arrays().ids[row]));
-    const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + spare - after;
-    if (!(shortfall > spare)) continue;
+    const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + aside - after;
+    if (!(shortfall > aside)) continue;
     lower_[row] += enough / dt * shortfall;
     fell_short = true;
   }

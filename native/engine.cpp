@@ -64,7 +64,10 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       residual_(constants_.dofs.size()),
       gradient_(mujoco.nv),
       v_previous_(constants_.dofs.size()),
-      a_previous_(constants_.dofs.size()) {}
+      a_previous_(constants_.dofs.size()),
+      speed_(constants_.dofs.size()),
+      steps_(constants_.dofs.size()),
+      change_(constants_.dofs.size()) {}
 
 void Engine::add(std::unique_ptr<ForeignRows> term) {
   foreign_.push_back(term.get());
@@ -348,10 +351,22 @@ bool Engine::trusted(Ending ending) const {
 }
 
 // Write the point of the box nearest to rest (n,).
-void Engine::brake(double* v) const {
+// Write the point of the box nearest to rest; a ball joint goes on about its axis.
+void Engine::brake(double* v) {
+  const JointLimits& limits = box_.limits();
+  std::fill_n(v, size(), 0.0);
+  if (!limits.balls.empty()) {
+    for (int i = 0; i < size(); ++i) speed_[i] = std::abs(v_previous_[i]);
+    braking(limits.acceleration, limits.balls, speed_.data(), dt_, steps_.data(), change_.data());
+    for (const int first : limits.balls) {
+      for (int i = first; i < first + 3; ++i) {
+        if (steps_[i] > 1.0) v[i] = v_previous_[i] - v_previous_[i] / steps_[i];
+      }
+    }
+  }
   bool finite = true;
   for (int i = 0; i < size(); ++i) {
-    v[i] = std::min(std::max(0.0, program_.lb[i]), program_.ub[i]);
+    v[i] = std::min(std::max(v[i], program_.lb[i]), program_.ub[i]);
     finite &= std::isfinite(v[i]);
   }
   if (!finite) std::fill_n(v, size(), 0.0);

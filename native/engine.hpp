@@ -177,7 +177,7 @@ class Engine {
   Ending solve_levels();
   bool trusted(Ending ending) const;
   void renew_solver();
-  void brake(double* v) const;
+  void brake(double* v);
   bool at_distance(double dt);
   bool keep_distances(double dt);
   bool misses() const;
@@ -224,6 +224,7 @@ class Engine {
   std::vector<double> v_, z_, residual_;
   std::vector<double> gradient_;  // (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
+  std::vector<double> speed_, steps_, change_;   // of a brake (n,)
 };
 
 }  // namespace rmrc

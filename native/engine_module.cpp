@@ -69,7 +69,7 @@ class BoundEngine {
               std::vector<int> dofs, Numbers hessian, double unit, double share_of_inertia,
               double floor,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                               Numbers, double>& limits,
+                               Numbers, Numbers, std::vector<int>>& limits,
               Writing H, Writing g, Writing added_damping, Writing inertia, Writing lb, Writing ub,
               int max_iter)
       : kept_{model,               data,
@@ -114,12 +114,15 @@ class BoundEngine {
         static_cast<int>(nv),
         qpos.data(),
         cdof.data()};
-    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step] = limits;
-    for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk}) {
+    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step, balls] = limits;
+    for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk, &step}) {
       require(*values, n, "a limit");
     }
     require(coordinate, n, "a limit");
     for (const int at : coordinate) require_index(at, mujoco.nq, "coordinate");
+    for (const int first : balls) {
+      require_index(first, static_cast<int>(n) - 2, "a ball joint's first dof");
+    }
     engine_ = std::make_unique<Engine>(
         mujoco,
         Stack{error.data(), feedforward.data(), jacobian.data(), v_previous.data(), place_.data(),
@@ -127,7 +130,8 @@ class BoundEngine {
         ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(),
                       added_damping.data(), inertia.data(), a_previous.data()},
         Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor},
-        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step}, max_iter);
+        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step, balls},
+        max_iter);
   }
 
   void limit(nb::object rows, nb::object shortening) {
@@ -408,7 +412,7 @@ void bind_engine(nb::module_& m) {
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,
                     std::vector<int>, Numbers, double, double, double,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                                     Numbers, double>&,
+                                     Numbers, Numbers, std::vector<int>>&,
                     Writing, Writing, Writing, Writing, Writing, Writing, int>(),
            nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a.noconvert(),
            "cdof"_a.noconvert(), "error"_a.noconvert(), "feedforward"_a.noconvert(),

@@ -133,6 +133,26 @@ class BoundRows {
   /// Have nothing added any more.
   void close() { closed_ = true; }
 
+  void know(double resolution, std::vector<bool> turning,
+            const std::vector<std::tuple<int, int, double, double, int, std::vector<int>>>& slides,
+            Reading twist) {
+    const MuJoCo& mujoco = rows_->mujoco();
+    std::vector<Slide> made;
+    for (const auto& [coordinate, dof, zero, counted, mocap, before] : slides) {
+      require_index(coordinate, mujoco.nq, "coordinate");
+      require_index(dof, mujoco.nv, "dof");
+      require_index(mocap + 1, static_cast<int>(counts_.mocaps) + 1, "mocap");
+      for (const int above : before) require_index(above, mujoco.nv, "dof");
+      made.push_back({coordinate, dof, zero, counted, mocap, before});
+    }
+    require_twists(twist);
+    if (turning.size() != static_cast<std::size_t>(mujoco.nv)) {
+      throw std::invalid_argument("turning has a wrong size");
+    }
+    kept_.push_back(nb::cast(twist));
+    rows_->know(resolution, std::move(turning), Slides(std::move(made), twist.data()));
+  }
+
   void add_speed(Reading position, Reading rotation, Reading reference, std::vector<int> dofs,
                  bool turned, double linear, double angular, Reading rate) {
     if (position.size() != 3 || rotation.size() != 9 || reference.size() != 3 ||
@@ -189,6 +209,7 @@ class BoundRows {
     a.sign = fields.doubles("sign", p);
     a.carries = fields.doubles("carries", p * nv);
     a.moves = fields.doubles("moves", p * nv);
+    a.precision = fields.doubles("precision", 2);
     a.twist = twist.data();
     a.bound = fields.doubles("bound", p);
     a.threshold = fields.doubles("threshold", p);
@@ -287,9 +308,11 @@ class BoundRows {
 
 class BoundShortening {
  public:
-  BoundShortening(nb::object rows, const BoundKinematics& own, Numbers deceleration, Reading twist)
+  BoundShortening(nb::object rows, const BoundKinematics& own, Numbers deceleration,
+                  std::vector<int> balls, Reading twist)
       : kept_{rows, own.data, own.kept, nb::cast(twist)},
-        native_(checked(rows, own, deceleration, twist), own.arrays, deceleration, twist.data(),
+        native_(checked(rows, own, deceleration, twist), own.arrays, deceleration,
+                checked_balls(rows, std::move(balls)), twist.data(),
                 static_cast<int>(twist.size() / 6)) {}
 
   void follow(nb::object kinematics) {
@@ -304,6 +327,12 @@ class BoundShortening {
   Shortening& operator*() { return native_; }
 
  private:
+  static std::vector<int> checked_balls(nb::handle rows, std::vector<int> balls) {
+    const int n = static_cast<int>(rows_of(rows).size());
+    for (const int first : balls) require_index(first, n - 2, "a ball joint's first dof");
+    return balls;
+  }
+
   static Rows& checked(nb::handle rows, const BoundKinematics& own, const Numbers& deceleration,
                        const Reading& twist) {
     Rows& native = rows_of(rows);
@@ -342,6 +371,8 @@ void bind_rows(nb::module_& m) {
            "lower"_a.noconvert(), "upper"_a.noconvert(), "multiplier"_a.noconvert(),
            "ids"_a.noconvert(), "distance"_a.noconvert(), "slope"_a.noconvert(),
            "drift"_a.noconvert())
+      .def("know", &BoundRows::know, nb::kw_only(), "resolution"_a, "turning"_a, "slides"_a,
+           "twist"_a.noconvert())
       .def("add_speed", &BoundRows::add_speed, nb::kw_only(), "position"_a.noconvert(),
            "rotation"_a.noconvert(), "reference"_a.noconvert(), "dofs"_a, "turned"_a, "linear"_a,
            "angular"_a, "rate"_a.noconvert())
@@ -363,8 +394,9 @@ void bind_rows(nb::module_& m) {
       .def_prop_ro("count", [](BoundRows& bound) { return (*bound).count(); })
       .def_prop_ro("passed", [](BoundRows& bound) { return (*bound).passed(); });
   nb::class_<BoundShortening>(m, "Shortening", "How much of a command may be carried out.")
-      .def(nb::init<nb::object, const BoundKinematics&, Numbers, Reading>(), nb::kw_only(),
-           "rows"_a, "own"_a, "deceleration"_a, "twist"_a.noconvert())
+      .def(nb::init<nb::object, const BoundKinematics&, Numbers, std::vector<int>, Reading>(), nb::kw_only(),
+           "rows"_a, "own"_a, "deceleration"_a, "balls"_a,
+           "twist"_a.noconvert())
       .def("follow", &BoundShortening::follow, "kinematics"_a,
            "Place what the barriers look at by these, in place of MuJoCo's.")
       .def(

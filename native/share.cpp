@@ -10,8 +10,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.shorten: TOLERANCE, TRIALS, GUESSES, NEARER, LEAST_PART and CLOSE.
-constexpr double tolerance = 0.5e-6;
+// rmrc.control.shorten: TRIALS, GUESSES, NEARER, LEAST_PART and CLOSE.
 constexpr int trials = 10;
 constexpr int guesses = 10;
 constexpr double nearer = 0.98;
@@ -36,7 +35,7 @@ Share Shortening::share(const double* v, const double* brake, double dt) {
   }
   // What the step before has left may be used up by rounding.
   path_.set_out(brake, dt);
-  return {0.0, !worst(-tolerance), true};
+  return {0.0, !worst(-tolerance_), true};
 }
 
 // Return a share below `high` at which the worst entry of the last look has room again.
@@ -55,7 +54,7 @@ double Shortening::guess(const double* v, const double* brake, double high, doub
       low = share;
       room_low = room;
     }
-    if (high == 0.0 || high - low < close || (room_low <= tolerance && low != 0.0)) break;
+    if (high == 0.0 || high - low < close || (room_low <= tolerance_ && low != 0.0)) break;
     const double part = nearer * room_low / (room_low - room_high);
     share = low + (high - low) * std::min(std::max(part, least_part), 1.0 - least_part);
   }

@@ -21,9 +21,10 @@ struct Share {
 /// Keeps distances at the configuration that a command leads to: rmrc.control.shorten.Shortening.
 class Shortening {
  public:
-  /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit.
+  /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit,
+  /// and `balls` are the first entries of ball joints.
   Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
-             const double* twist, int mocaps);
+             std::vector<int> balls, const double* twist, int mocaps);
 
   /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
   void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
@@ -83,6 +84,8 @@ class Shortening {
   void move_obstacles(double dt);
 
   const Rows& rows_;
+  Slides slides_;
+  double tolerance_, noise_;  // how far below 0 a distance may be, and may fall by rounding
   MuJoCo mujoco_;
   Kinematics own_;
   ForwardKinematics* kinematics_ = nullptr;
@@ -94,7 +97,7 @@ class Shortening {
   Path path_;
   double dt_ = 0.0;
   std::vector<double> command_;                            // (n,)
-  std::vector<double> step_, fast_, turn_, bent_, moved_;  // over all dofs (nv,)
+  std::vector<double> step_, fast_, change_, bent_, moved_;  // over all dofs (nv,)
 
   std::vector<Entry> entries_;
   std::vector<int> all_, some_;

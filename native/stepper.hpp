@@ -100,7 +100,8 @@ class Stepper {
   std::vector<KeptArray> kept_;
   KeptFlags moving_;
   int size_;  // without the rows
-  std::vector<double> from_;  // (nq,)
+  std::vector<double> from_;                    // (nq,)
+  std::vector<double> speed_, steps_, change_;  // of a brake (n,)
   double dt_ = 0.0;
   bool left_ = false;
   Ending ending_ = Ending::failed;  // of the step that was left

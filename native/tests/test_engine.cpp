@@ -142,7 +142,7 @@ struct Fixture {
         rmrc::ProgramArrays{H.data(), g, lb, ub, rate, &added, inertia.data(), a_previous},
         rmrc::Constants{{0, 1, 2, 3, 4}, constant, 1.0, 1e-3, 1e-4},
         rmrc::JointLimits{{0, 1, 2, 3, 4}, every(-2.0), every(2.0), 0.95, every(fastest),
-                          every(strongest), every(jerk)},
+                          every(strongest), every(jerk), every(infinity), {}},
         1000);
     add_tasks();
     std::vector<rmrc::TaskedRow> tasked;
@@ -233,7 +233,7 @@ struct LimitedFixture : Fixture {
   double size[6] = {radius, 0, 0, radius, 0, 0}, radii[1] = {2.0 * radius};
   double thickness[1] = {radius}, levers[joints], side[joints], reach[2] = {0.0, 2.0 * radius};
   double spread[1] = {0.0}, width[1] = {2.0 * radius}, sign[1] = {1.0}, carries[joints] = {};
-  double moves[joints], bound[1] = {-infinity}, threshold[1] = {0.1}, between[1] = {};
+  double precision[2] = {1e-9, 1e-3}, moves[joints], bound[1] = {-infinity}, threshold[1] = {0.1}, between[1] = {};
   double segments[6] = {}, normals[3] = {}, room[1] = {-infinity}, travel[joints] = {};
   double position[6] = {}, quaternion[8] = {}, seen_position[6], seen_quaternion[8];
   std::unique_ptr<rmrc::Rows> rows;
@@ -257,8 +257,8 @@ struct LimitedFixture : Fixture {
     rows->add(std::make_unique<rmrc::Workspace>(std::move(planes), 0.85, 0.1, nullptr, joints));
     rows->add(std::make_unique<rmrc::Collision>(pairs(), engine->mujoco()));
     shortening = std::make_unique<rmrc::Shortening>(*rows, arrays_of(own),
-                                                    std::vector<double>(joints, strongest), nullptr,
-                                                    0);
+                                                    std::vector<double>(joints, strongest),
+                                                    std::vector<int>{}, nullptr, 0);
     engine->limit(*rows, shortening.get());
   }
 
@@ -290,6 +290,7 @@ struct LimitedFixture : Fixture {
     a.sign = sign;
     a.carries = carries;
     a.moves = moves;
+    a.precision = precision;
     a.bound = bound;
     a.threshold = threshold;
     a.distance = between;

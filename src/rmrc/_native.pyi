@@ -89,7 +89,8 @@ class Engine:
             list[float],
             list[float],
             list[float],
-            float,
+            list[float],
+            list[int],
         ],
         H: Array,
         g: Array,
@@ -196,6 +197,14 @@ class Rows:
         slope: Array,
         drift: Array,
     ) -> None: ...
+    def know(
+        self,
+        *,
+        resolution: float,
+        turning: list[bool],
+        slides: list[tuple[int, int, float, float, int, list[int]]],
+        twist: Array,
+    ) -> None: ...
     def add_speed(
         self,
         *,
@@ -238,7 +247,13 @@ class Shortening:
     """How much of a command may be carried out."""
 
     def __init__(
-        self, *, rows: Rows, own: Kinematics, deceleration: list[float], twist: Array
+        self,
+        *,
+        rows: Rows,
+        own: Kinematics,
+        deceleration: list[float],
+        balls: list[int],
+        twist: Array,
     ) -> None: ...
     def follow(self, kinematics: ForwardKinematics) -> None: ...
     def share(self, v: Array, brake: Array, dt: float) -> tuple[float, bool] | None: ...

@@ -44,7 +44,7 @@ LADDER = 3e-4
 """rad/s or m/s, of v where rows were relaxed, or given slack of 1e-9 because DAQP did not find the
 little room that they left; and where a command shortened since rests on that."""
 KEPT = 1e-6
-"""m or rad; `rmrc.qp.rows.PASSED`: MuJoCo's distances of smooth geoms are no finer."""
+"""m or rad; `extents.FINEST`: MuJoCo's distances of smooth geoms are no finer."""
 FLAT = 1e-12
 """Largest element of a slope that is 0 but for rounding."""
 

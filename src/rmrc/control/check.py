@@ -12,7 +12,6 @@ from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
 from rmrc.problem.problem import Problem
-from rmrc.qp.rows import PASSED
 
 SHOWN = 6
 """Distances that a line names."""
@@ -75,7 +74,7 @@ def _too_near(problem: Problem) -> list[str]:
     for limit in problem.barriers:
         barrier = limit.build(model, still)
         near = barrier.near(data, np.zeros(model.nv), problem.dt)
-        passed = near.ids[near.distance < -PASSED].tolist()
+        passed = near.ids[near.distance < -problem.resolution].tolist()
         if passed:
             shown = ", ".join(barrier.name(k) for k in passed[:SHOWN])
             more = f" and {len(passed) - SHOWN} more" if len(passed) > SHOWN else ""

@@ -15,6 +15,7 @@ from rmrc.control.quick import quick_step, quick_target
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import names
+from rmrc.problem.limits.box import braking
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 
@@ -370,11 +371,11 @@ class Controller:
         if self._refused:
             self._refused, flags = False, flags | _INVALID_INPUT
         seconds = dt or self.problem.dt
-        change = np.full(self._model.nv, np.inf)
-        change[self.problem.dofs] = self.problem.box.acceleration * seconds
-        v = self._v - np.clip(self._v, -change, change)
+        dofs, v = self.problem.dofs, np.zeros(self._model.nv)
+        _, change = braking(self.problem.box, np.abs(self._v[dofs]), seconds)
+        v[dofs] = self._v[dofs] - np.clip(self._v[dofs], -change, change)
         solution = Solution.at_rest(self.engine.assembly.qp)
-        solution.v = v[self.problem.dofs]
+        solution.v = v[dofs]
         self._progress.reset()
         self.engine.share = 1.0  # of a brake nothing was left out
         return self._carried_out(self._q.copy(), solution, flags, seconds, self._v.copy())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rmrc.control.correct import raise_rows
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.limits.box import braking
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
@@ -72,6 +73,8 @@ class PythonEngine:
         self._solvers: dict[tuple[int, int, bool], _Solver] = {}
         self._solver = self._solver_of(self._assembly.qp)
         hard = any(term.hard for term in self.evaluation.terms)
+        self._dt = problem.dt
+        """Length of the present step, s."""
         self._box_alone = not (self._rows.any or hard)
         self._cascade = Cascade(problem.dofs.size, self._new_backend) if problem.cascaded else None
         self.deadline = math.inf
@@ -89,7 +92,7 @@ class PythonEngine:
         return Rows(self.problem, self.evaluation)
 
     def _new_shortening(self) -> Shortening:
-        return Shortening(self.problem)
+        return Shortening(self.problem, self.evaluation.obstacle_twist)
 
     def _new_backend(self) -> Backend:
         solver = self.problem.config.solver
@@ -172,6 +175,7 @@ class PythonEngine:
         Return whether a joint is outside its range, or a distance below its limit.
         """
         assembly = self._assembly
+        self._dt = dt
         self.evaluation.v_previous[:] = v_previous
         outside = self._assemble(q, dt)
         if self._box_alone:
@@ -305,9 +309,16 @@ class PythonEngine:
         return failed
 
     def _brake(self) -> Array:
-        """Return the point of the box nearest to rest."""
-        qp = self._assembly.qp
-        v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
+        """Return the point of the box nearest to rest; a ball joint goes on about its axis."""
+        qp, box = self._assembly.qp, self.problem.box
+        v = np.zeros(qp.g.size)
+        if box.balls.size:
+            before = self.evaluation.v_previous[self.problem.dofs]
+            steps, _ = braking(box, np.abs(before), self._dt)
+            some = (box.balls[:, None] + np.arange(3)).ravel()
+            some = some[steps[some] > 1.0]
+            v[some] = before[some] - before[some] / steps[some]
+        v = np.clip(v, qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
 
     def keep_distances(self, solution: Solution, dt: float) -> None:
@@ -317,7 +328,7 @@ class PythonEngine:
             return
         evaluation, brake = self.evaluation, self._brake()
         self.share, passed = self._shortening.share(
-            evaluation.data, evaluation.obstacle_twist, solution.v, brake, self._rows.blocks, dt
+            evaluation.data, solution.v, brake, self._rows.blocks, dt
         )
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
@@ -352,8 +363,8 @@ class PythonEngine:
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._shortening is None or untouched or not self._in_time():
             return solution
-        end = self._shortening.end(evaluation.data, evaluation.obstacle_twist, whole, dt)
-        if not raise_rows(qp, self._rows.blocks, end, dt):
+        end = self._shortening.end(evaluation.data, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, end, dt, self.problem.resolution):
             return solution
         corrected = self._best()
         if not self._trusted(corrected):

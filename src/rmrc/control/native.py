@@ -193,7 +193,8 @@ class NativeEngine(PythonEngine):
                 box.velocity.tolist(),
                 box.acceleration.tolist(),
                 box.jerk.tolist(),
-                box.step,
+                box.step.tolist(),
+                box.balls.tolist(),
             ),
             H=qp.H,
             g=qp.g,
@@ -208,14 +209,14 @@ class NativeEngine(PythonEngine):
         return NativeRows(self.problem, self.evaluation)
 
     def _new_shortening(self) -> NativeShortening:
-        return NativeShortening(self.problem)
+        return NativeShortening(self.problem, self.evaluation.obstacle_twist)
 
     def _connect(self) -> None:
         """Hand the rows to the extension, and what checks the commands where they lead."""
         rows, shortening = self._rows, self._shortening
         rows.connect(self._native, self._assembly.rate, self._cdof)
         if shortening is not None:
-            shortening.connect(rows, self.evaluation.obstacle_twist)
+            shortening.connect(rows)
         if rows.any:
             self._native.limit(rows.native, None if shortening is None else shortening.native)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rmrc import _native
 from rmrc.control import native_kinematics
 from rmrc.control.shorten import Shortening
+from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.limits.ball import BallRange
 from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.collision import Collision
@@ -65,6 +66,12 @@ class NativeRows(Rows):
             distance=self._distance,
             slope=self._slope,
             drift=self._drift,
+        )
+        self.native.know(
+            resolution=problem.resolution,
+            turning=turning_dofs(model).tolist(),
+            slides=self._slides.described(),
+            twist=evaluation.obstacle_twist,
         )
         self._moves = dofs_of_bodies(model)
         self._hand_over_speeds(rate)
@@ -160,27 +167,22 @@ class NativeRows(Rows):
 class NativeShortening(Shortening):
     """Has the extension find the share of a command, unless it takes too long to rest."""
 
-    def connect(self, rows: NativeRows, twist: Array) -> None:
-        """Have the rows of an engine checked; `twist` are the mocap bodies' velocities."""
+    def connect(self, rows: NativeRows) -> None:
+        """Have the rows of an engine checked."""
         cdof = np.zeros((self._model.nv, 6))
         self.native = _native.Shortening(
             rows=rows.native,
             own=kinematics(self._data, cdof),
-            deceleration=self._deceleration.tolist(),
-            twist=twist,
+            deceleration=self._box.acceleration.tolist(),
+            balls=self._box.balls.tolist(),
+            twist=self._twist,
         )
         watched = native_kinematics.of_barriers(rows.barriers)
         self.native.follow(native_kinematics.build(self._model, self._data, cdof, watched))
 
     def share(
-        self,
-        data: mujoco.MjData,
-        twist: Array,
-        v: Array,
-        brake: Array,
-        blocks: list[Block],
-        dt: float,
+        self, data: mujoco.MjData, v: Array, brake: Array, blocks: list[Block], dt: float
     ) -> tuple[float, bool]:
         """Return s, and whether a distance falls below its limit even so."""
         found = self.native.share(v, brake, dt)
-        return super().share(data, twist, v, brake, blocks, dt) if found is None else found
+        return super().share(data, v, brake, blocks, dt) if found is None else found

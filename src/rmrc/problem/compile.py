@@ -23,6 +23,7 @@ from rmrc.problem.configuration import (
 )
 from rmrc.problem.frames import names
 from rmrc.problem.limits.box import Box
+from rmrc.problem.limits.extents import resolution, size
 from rmrc.problem.limits.joints import compile_box, select
 from rmrc.problem.limits.rows import compile_barriers, compile_speeds
 from rmrc.problem.limits.workspace import levers
@@ -41,8 +42,10 @@ Result = TypeVar("Result")
 MOST_STEPS = 10_000_000
 """Steps of a run, whose arrays are allocated at its start."""
 LONGEST_STEP = 10.0
-"""Most that a joint moves in a step beside distances that are kept, rad or m: what a longer one
-could come to is not looked at."""
+"""Most that a joint moves in a step beside distances that are kept, rad or m, and in lengths of a
+robot that is longer than 1 m: what a longer one could come to is not looked at."""
+SLIDE_TRAVEL = 10.0
+"""Travel in m from its zero that a slide without a range counts with in the length of a robot."""
 
 
 def compile(
@@ -97,7 +100,9 @@ class _Compiler:
                 box.velocity[term.dofs] = 0.0
         moving = np.arange(model.nv) if dofs is None else dofs
         terms = tuple(_clamped(term, model, box) for term in terms)
-        barriers = compile_barriers(model, config.limits, moving, mistakes, notices)
+        barriers = compile_barriers(model, config.limits, start, moving, mistakes, notices)
+        if barriers:
+            box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
         speeds = compile_speeds(config.limits, terms, mistakes)
         self._try_solver()
         self._try_mink(mink_tasks, mink_limits, model, start)
@@ -123,13 +128,14 @@ class _Compiler:
             damping=config.damping.lambda_,
             soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
             strict=strict,
-            box=replace(select(box, dofs), step=LONGEST_STEP if barriers else math.inf),
+            box=select(box, dofs),
             notices=(
                 *notices,
                 *_damping_notices(config, bool(metric.any() or inertia)),
                 *_equality_notices(model, terms),
             ),
             barriers=barriers,
+            resolution=resolution(model),
             speeds=speeds,
             deadline=1e-6 * (solver.deadline or math.inf),
             target_timeout=timeout.target or math.inf,
@@ -156,6 +162,8 @@ class _Compiler:
         start = self._try(("start",), lambda: start_configuration(model, config))
         self._stop_on_mistakes()
         assert start is not None
+        # Distances of smooth geoms are measured no more finely than this.
+        model.opt.ccd_tolerance = min(model.opt.ccd_tolerance, resolution(model))
         return model, start
 
     def _try_solver(self) -> None:
@@ -197,7 +205,7 @@ def _clamped(term: Term, model: mujoco.MjModel, box: Box) -> Term:
     """
     if not isinstance(term, FrameTerm) or term.clamp[0] < math.inf:
         return term
-    lever = levers(model, term.frame)[: model.nv]
+    lever = levers(model, term.frame, SLIDE_TRAVEL)[: model.nv]
     turning = lever * turning_dofs(model)
     longest = float(turning.max(initial=0.0))
     if longest == 0.0:

@@ -15,6 +15,7 @@ from rmrc.config.models import Config
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.box import Box
+from rmrc.problem.limits.extents import FINEST
 from rmrc.problem.limits.speed import FrameSpeed
 from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.frame import FrameTerm
@@ -51,6 +52,8 @@ class Problem:
     """What a user should know: defaults at work, and what has no limit."""
     barriers: tuple[BarrierLimit, ...] = ()
     """The distances that stay above 0: collision, workspace, ranges of ball joints."""
+    resolution: float = FINEST
+    """A distance this little below its limit, m or rad, is on it: none is kept more finely."""
     speeds: tuple[FrameSpeed, ...] = ()
     """The largest speeds of frames."""
     deadline: float = math.inf

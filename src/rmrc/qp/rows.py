@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.barrier import Barrier, Near
+from rmrc.problem.limits.slides import Slides
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
 from rmrc.qp.foreign import checked
@@ -16,8 +17,6 @@ from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
 
-PASSED = 1e-6
-"""A distance this little below 0, m or rad, is on its limit: MuJoCo's measurements are no finer."""
 STOPPING = 0.5
 """Share of the deceleration along a barrier's slope that is counted on: the joints do not brake in
 the proportions of the slope."""
@@ -75,6 +74,7 @@ class Rows:
         self._inverse_acceleration = 1.0 / problem.box.acceleration  # 0 where there is no limit
         self._stops = bool(self._inverse_acceleration.any())
         self._travel = np.zeros(model.nv)
+        self._slides = Slides(model, evaluation.obstacle_twist)
 
     def update(self, qp: QP, rate: Array, dt: float) -> None:
         """Write the rows at the present kinematics for a step of dt with ẋ of all terms.
@@ -96,7 +96,10 @@ class Rows:
         travel = fastest * dt
         if self._stops:
             travel += 0.5 * fastest * fastest * self._inverse_acceleration
+        self._travel.fill(0.0)
         self._travel[dofs] = travel
+        self._slides.begin(self._evaluation.data.qpos, self._travel)
+        self._slides.stretch(self._travel, dt)
         for barrier in self.barriers:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:
@@ -139,7 +142,7 @@ class Rows:
         fastest -= ROUNDING * np.abs(fastest)
         beyond = lower > fastest
         lower[beyond] = fastest[beyond]
-        self.passed |= bool(distance.min() < -PASSED)
+        self.passed |= bool(distance.min() < -self._problem.resolution)
         return lower
 
     def _stopping(self, distance: Array, slope: Array, dt: float) -> Array:

@@ -49,12 +49,14 @@ def compile_box(
         velocity=_velocities(model, limits, notices, mistakes),
         acceleration=_per_joint(model, "acceleration", limits.acceleration, mistakes),
         jerk=_per_joint(model, "jerk", limits.jerk, mistakes),
+        step=np.full(model.nv, np.inf),
+        balls=model.jnt_dofadr[model.jnt_type == _BALL].astype(np.intp),
     )
     return box, notices
 
 
 def select(box: Box, dofs: NDArray[np.intp]) -> Box:
-    """Return the limits of some dofs."""
+    """Return the limits of the dofs of some joints, in ascending order."""
     return Box(
         coordinate=box.coordinate[dofs],
         lower=box.lower[dofs],
@@ -63,6 +65,8 @@ def select(box: Box, dofs: NDArray[np.intp]) -> Box:
         velocity=box.velocity[dofs],
         acceleration=box.acceleration[dofs],
         jerk=box.jerk[dofs],
+        step=box.step[dofs],
+        balls=np.searchsorted(dofs, box.balls[np.isin(box.balls, dofs)]),
     )
 
 

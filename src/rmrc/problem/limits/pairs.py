@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rmrc.config.limits import CollisionLimit
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import OBJECTS, names
-from rmrc.problem.limits.always_near import always_near
+from rmrc.problem.limits.always_near import Whereabouts, always_near, anywhere
 from rmrc.problem.limits.extents import dofs_of_bodies
 from rmrc.problem.tasks.base import FieldError
 
@@ -27,7 +27,7 @@ SHOWN = 4
 
 
 def resolve_pairs(
-    model: mujoco.MjModel, limit: CollisionLimit
+    model: mujoco.MjModel, limit: CollisionLimit, where: Whereabouts | None = None
 ) -> tuple[NDArray[np.intp], list[str]]:
     """Return the pairs of geoms that a limit keeps apart, and notices on those it leaves out.
 
@@ -36,7 +36,12 @@ def resolve_pairs(
     pairs that are named, those of `groups` are filtered by parent and exclusion too; those of
     geoms and bodies are all meant. The geoms of a body are those that collide with anything, where
     there are any. What no joint moves relative to each other is never a pair, nor is what is nearer
-    than `d_min` wherever the joints are: it could only hold the robot back.
+    than `d_min` wherever the joints may be, the start included: it could only hold the robot back.
+
+    Args:
+        model: The model.
+        limit: The limit.
+        where: Where the joints may be; by default in the model's ranges.
 
     Returns:
         Pairs (p, 2), the geom of the lower type first, as MuJoCo orders them; the notices.
@@ -50,7 +55,7 @@ def resolve_pairs(
             "the scene disables nativeccd, without which MuJoCo's distances are wrong by "
             'centimetres: take <flag nativeccd="disable"/> out of it'
         )
-    return _Resolver(model, limit).pairs()
+    return _Resolver(model, limit, where or anywhere(model)).pairs()
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
@@ -76,8 +81,8 @@ class _Meaning:
 class _Resolver:
     """Pairs are symmetric flags (ngeom, ngeom), which one filter after another thins."""
 
-    def __init__(self, model: mujoco.MjModel, limit: CollisionLimit):
-        self._model, self._limit = model, limit
+    def __init__(self, model: mujoco.MjModel, limit: CollisionLimit, where: Whereabouts):
+        self._model, self._limit, self._where = model, limit, where
         self._notices: list[str] = []
         self._silent: set[int] = set()
         body = model.geom_bodyid
@@ -121,10 +126,12 @@ class _Resolver:
 
     def _separable(self, pairs: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the pairs that can keep their distance."""
-        near = always_near(self._model, pairs, self._limit.d_min)
+        near = always_near(self._model, pairs, self._limit.d_min, self._where)
         if near.any():
             shown = [pair_name(self._model, a, b) for a, b in pairs[near].tolist()]
-            self._leave_out("pairs that are nearer than d_min wherever the joints are", shown)
+            # What the user has named is named in full.
+            most = SHOWN if self._limit.pairs == "all" else len(shown)
+            self._leave_out("pairs that are nearer than d_min wherever the joints are", shown, most)
         return pairs[~near]
 
     def _reasons(self) -> str:
@@ -212,9 +219,9 @@ class _Resolver:
             self._leave_out(f"pairs {reason}", shown)
         return wanted & ~mask
 
-    def _leave_out(self, what: str, shown: list[str]) -> None:
-        more = ", …" if len(shown) > SHOWN else ""
-        listed = ", ".join(shown[:SHOWN]) + more
+    def _leave_out(self, what: str, shown: list[str], most: int = SHOWN) -> None:
+        more = ", …" if len(shown) > most else ""
+        listed = ", ".join(shown[:most]) + more
         self._notices.append(f"collision leaves out {what} ({len(shown)}): {listed}")
 
 

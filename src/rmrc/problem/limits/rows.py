@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from rmrc.config.limits import LimitsModel
 from rmrc.config.mistakes import Mistake
 from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.limits.always_near import Whereabouts
 from rmrc.problem.limits.ball import compile_balls
 from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.collision import collision_pairs
+from rmrc.problem.limits.joints import held_ranges
 from rmrc.problem.limits.speed import FrameSpeed
 from rmrc.problem.limits.workspace import compile_workspace
 from rmrc.problem.tasks.base import FieldError, Term
@@ -22,6 +24,7 @@ from rmrc.problem.tasks.frame import FrameTerm
 def compile_barriers(
     model: mujoco.MjModel,
     limits: LimitsModel,
+    start: NDArray[np.float64],
     dofs: NDArray[np.intp],
     mistakes: list[Mistake],
     notices: list[str],
@@ -34,7 +37,8 @@ def compile_barriers(
     if limits.collision != "off":
         where = ("limits", "collision")
         try:
-            pairs, left_out = collision_pairs(model, limits.collision)
+            where_joints = Whereabouts(start, held_ranges(model, limits), dofs)
+            pairs, left_out = collision_pairs(model, limits.collision, where_joints)
         except FieldError as mistake:
             mistakes.append(Mistake((*where, mistake.key), str(mistake)))
         except ModelError as mistake:
