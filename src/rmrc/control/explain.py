@@ -204,8 +204,10 @@ def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:
     return Progressed(term.name, term.units, error, tuple(asked), tuple(gained))
 
 
-def _halves(term: Term) -> Sequence[slice]:
-    """Return the rows of each of a task's units."""
-    if term.rows == 6 and not term.joint:
+def _halves(term: Term) -> Sequence[slice | NDArray[np.intp]]:
+    """Return the rows of each of a task's units, of a task on the joints those with a weight."""
+    if term.joint:
+        return [np.flatnonzero(term.diagonal)]
+    if term.rows == 6:
         return [half for half in (slice(3), slice(3, 6)) if term.diagonal[half].any()]
     return [slice(None)]

@@ -59,6 +59,7 @@ class WaypointFollower:
         for aim in self._aims:
             aim.sample(now + self._controller.problem.dt)
             aim.set_on(self._reacher.controller, moving=False)
+        self._set_points.see(q)
         reached = self._reacher.solve(self._set_points.q)
         self.solves += reached.iterations
         return self._set_points.move_to(reached.q, q)
@@ -125,6 +126,12 @@ class _SetPoints:
         self._controller = controller
         self.q = controller.problem.start.copy()
         """The last set point (nq,)."""
+
+    def see(self, measured: Array | None) -> None:
+        """Take over where objects are; they are no set points."""
+        if measured is not None:
+            objects = self._controller.problem.objects.coordinates
+            self.q[objects] = measured[objects]
 
     def move_to(self, wanted: Array, measured: Array | None) -> Step:
         """Command the difference from the last set point, inside the box."""

@@ -101,7 +101,7 @@ class Assembly:
         """
         problem = self._problem
         weights = [largest_square(problem), *np.diagonal(problem.metric)]
-        weights += [problem.inertia * problem.model.dof_M0.max()]
+        weights += [problem.inertia * problem.model.dof_M0[problem.dofs].max()]
         for term in self._evaluation.terms:
             if term.hard:
                 continue

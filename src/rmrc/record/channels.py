@@ -22,6 +22,8 @@ class Channel:
     values: Array
     lower: float
     upper: float
+    dof: int | None = None
+    """Which column of the rates it is; None of positions."""
 
     @property
     def excess(self) -> Array:
@@ -35,7 +37,7 @@ class Channel:
 
 
 def positions(model: dict[str, Any], q: Array) -> list[Channel]:
-    """Return the positions of all joints.
+    """Return the positions of the robot's joints.
 
     A hinge or slide is its coordinate, a ball its rotation angle in [0, π], a free joint
     x, y, z and its rotation angle.
@@ -64,7 +66,7 @@ def positions(model: dict[str, Any], q: Array) -> list[Channel]:
 
 
 def rates(model: dict[str, Any], values: Array, bound: Rate) -> list[Channel]:
-    """Return the velocities, accelerations or jerks of all degrees of freedom, in their order.
+    """Return the velocities, accelerations or jerks of the robot's degrees of freedom, in order.
 
     Args:
         model: The manifest's `model`; a joint's `velocity`, `acceleration` or `jerk` is its
@@ -86,7 +88,9 @@ def rates(model: dict[str, Any], values: Array, bound: Rate) -> list[Channel]:
         else:
             parts = [("", joint["unit"], largest)]
         channels += [
-            Channel(joint["name"] + part, unit + per_second, values[:, first + i], -cap, cap)
+            Channel(
+                joint["name"] + part, unit + per_second, values[:, first + i], -cap, cap, first + i
+            )
             for i, (part, unit, cap) in enumerate(parts)
         ]
     return channels

@@ -14,6 +14,7 @@ from rmrc.problem.limits.extents import half_thickness, levers
 from rmrc.problem.limits.movement import Movement
 from rmrc.problem.limits.pairs import pair_name, resolve_pairs
 from rmrc.problem.limits.separation import Separation, Turning
+from rmrc.problem.objects import Objects
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
@@ -32,7 +33,7 @@ how much the plane may be off beyond that."""
 
 
 def collision_pairs(
-    model: mujoco.MjModel, limit: CollisionLimit
+    model: mujoco.MjModel, limit: CollisionLimit, objects: Objects | None = None
 ) -> tuple["CollisionPairs", list[str]]:
     """Resolve a `collision` limit; the notices say what it leaves out.
 
@@ -40,7 +41,7 @@ def collision_pairs(
         FieldError: If a name is unknown, or an entry of `pairs` comes to nothing.
         ModelError: If the scene disables MuJoCo's own convex collision detection.
     """
-    geoms, notices = resolve_pairs(model, limit)
+    geoms, notices = resolve_pairs(model, limit, objects)
     pairs = CollisionPairs(
         geoms=geoms, d_min=limit.d_min, detect=limit.detect, gain=limit.gain, push=limit.push
     )

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,18 +14,20 @@ from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.collision import collision_pairs
 from rmrc.problem.limits.speed import FrameSpeed
 from rmrc.problem.limits.workspace import compile_workspace
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import FieldError, Term
 from rmrc.problem.tasks.frame import FrameTerm
 
 
 def compile_barriers(
-    model: mujoco.MjModel,
+    objects: Objects,
     limits: LimitsModel,
     dofs: NDArray[np.intp],
     mistakes: list[Mistake],
     notices: list[str],
 ) -> tuple[BarrierLimit, ...]:
     """Return the limits on distances; what is wrong goes to `mistakes`, the rest to `notices`."""
+    model = objects.model
     found: list[BarrierLimit] = [
         *compile_balls(model, limits, dofs),
         *compile_workspace(model, limits.workspace, dofs, mistakes),
@@ -34,7 +35,7 @@ def compile_barriers(
     if limits.collision != "off":
         where = ("limits", "collision")
         try:
-            pairs, left_out = collision_pairs(model, limits.collision)
+            pairs, left_out = collision_pairs(model, limits.collision, objects)
         except FieldError as mistake:
             mistakes.append(Mistake((*where, mistake.key), str(mistake)))
         except ModelError as mistake:

@@ -1,7 +1,7 @@
 """The `clearance` task: the joints keep geoms away from one another, such as obstacles."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +15,7 @@ from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.configuration import free_dofs
 from rmrc.problem.frames import OBJECTS, names
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import Array, FieldError, GainedTask, Term
 from rmrc.problem.tasks.manipulability import joint_dofs_above
 
@@ -100,6 +101,24 @@ class ClearanceTerm(Term):
     """The pairs of geoms (p, 2), each in the order of their types."""
     distance: float
     """D, m."""
+
+    def without(self, objects: Objects, start: Array) -> "ClearanceTerm":
+        """Return the term with the pairs that the robot moves relative to each other.
+
+        Raises:
+            FieldError: If there is none.
+        """
+        model = objects.model
+        still = np.flatnonzero(objects.dofs)
+        moved = [
+            np.setdiff1d(np.setxor1d(*(joint_dofs_above(model, b) for b in bodies)), still).size > 0
+            for bodies in model.geom_bodyid[self.geoms]
+        ]
+        if all(moved):
+            return self
+        if not any(moved):
+            raise FieldError("pairs", "the robot moves none of them: they are objects or fixed")
+        return replace(self, geoms=self.geoms[moved], weight=self.weight[moved])
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:

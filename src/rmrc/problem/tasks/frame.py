@@ -100,6 +100,10 @@ class FrameTask(PoseTask):
     axes: Literal["body", "world"] = "body"
     """The axes of the error and of B: the frame's own, or the world's."""
 
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the frame's body."""
+        return [resolve(model, self.frame).body(model)]
+
     def compile(self, model: mujoco.MjModel, start: Array) -> "FrameTerm":
         """Resolve the frame; the target is its pose at the start."""
         weight = self.pose_weight()

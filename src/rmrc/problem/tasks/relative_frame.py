@@ -23,6 +23,10 @@ class RelativeFrameTask(PoseTask):
     root: Frame
     """The frame in whose coordinates the target is given."""
 
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the body of the frame that moves."""
+        return [resolve(model, self.frame).body(model)]
+
     def compile(self, model: mujoco.MjModel, start: Array) -> "RelativeFrameTerm":
         """Resolve both frames; the target is their relative pose at the start."""
         weight = self.pose_weight()
