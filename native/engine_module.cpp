@@ -46,6 +46,7 @@ struct RowsArgument {
 struct FrameArgument {
   Frame frame;
   Reading position, rotation, reference;
+  std::optional<Reading> carrier;
 };
 
 // The engine, and the arrays of Python's that it points into.
@@ -155,21 +156,21 @@ class BoundEngine {
 
   void add_com(const RowsArgument& rows,
                const std::vector<std::tuple<int, double, Reading, Reading>>& moved,
-               const std::vector<std::tuple<double, Reading>>& parts) {
+               const std::vector<std::tuple<double, Reading, Reading, std::optional<Reading>>>&
+                   parts) {
     std::vector<MovedMass> masses;
     for (const auto& [dof, share, point, reference] : moved) {
       masses.push_back({dof, share, point.data(), reference.data()});
       kept_.append(nb::cast(point));
       kept_.append(nb::cast(reference));
     }
-    Numbers shares;
-    std::vector<const double*> centres;
-    for (const auto& [share, centre] : parts) {
-      shares.push_back(share);
-      centres.push_back(centre.data());
+    std::vector<Subtree> subtrees;
+    for (const auto& [share, centre, reference, carrier] : parts) {
+      subtrees.push_back({share, centre.data(), reference.data(), kept(carrier)});
       kept_.append(nb::cast(centre));
+      kept_.append(nb::cast(reference));
     }
-    add<CentreOfMass>(rows, 3, std::move(masses), std::move(shares), std::move(centres));
+    add<CentreOfMass>(rows, 3, std::move(masses), std::move(subtrees));
   }
 
   void add_coupling(const RowsArgument& rows, const Numbers& by_coordinate, const Numbers& by_dof,
@@ -255,7 +256,14 @@ class BoundEngine {
     kept_.append(nb::cast(argument.position));
     kept_.append(nb::cast(argument.rotation));
     kept_.append(nb::cast(argument.reference));
+    kept(argument.carrier);
     return argument.frame;
+  }
+
+  const double* kept(const std::optional<Reading>& carrier) {
+    if (!carrier) return nullptr;
+    kept_.append(nb::cast(*carrier));
+    return carrier->data();
   }
 
   Anchorage kept(const AnchorageArgument& argument) {
@@ -298,14 +306,17 @@ RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading 
 }
 
 FrameArgument make_frame(Reading position, Reading rotation, Reading reference,
-                         std::vector<int> dofs) {
+                         std::vector<int> dofs, std::optional<Reading> carrier) {
   require(position, 3, "position");
   require(rotation, 9, "rotation");
   require(reference, 3, "reference");
-  return {{position.data(), rotation.data(), reference.data(), std::move(dofs)},
+  if (carrier) require(*carrier, 6, "carrier");
+  return {{position.data(), rotation.data(), reference.data(), std::move(dofs),
+           carrier ? carrier->data() : nullptr},
           position,
           rotation,
-          reference};
+          reference,
+          carrier};
 }
 
 void evaluate(BoundEngine& bound, const Reading& q) {
@@ -338,7 +349,8 @@ void bind_engine(nb::module_& m) {
       .def(nb::new_(&make_rows), "first"_a, "count"_a, "gain"_a, "root"_a, "target"_a, "twist"_a,
            "moving"_a, "clamps"_a = std::vector<std::tuple<int, int, double>>());
   nb::class_<FrameArgument>(m, "Frame", "Where the pose of a frame stands, and what moves it.")
-      .def(nb::new_(&make_frame), "position"_a, "rotation"_a, "reference"_a, "dofs"_a);
+      .def(nb::new_(&make_frame), "position"_a, "rotation"_a, "reference"_a, "dofs"_a,
+           "carrier"_a.none());
   nb::class_<BoundEngine>(m, "Engine", "The whole step, in the arrays that it is given.")
       .def(nb::init<const std::vector<std::uintptr_t>&, std::uintptr_t, std::uintptr_t, Writing,
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,

@@ -55,7 +55,10 @@ class Assembly:
         self.rate = np.empty_like(self._gain)
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
         self._row_rate = self.rate[:rows]
-        self._fed = any(term.joint and not term.gain for term in evaluation.terms)
+        # What mocap bodies carry may move whenever they do.
+        self._fed = bool(problem.model.nmocap) or any(
+            term.joint and not term.gain for term in evaluation.terms
+        )
         self._clamps = [
             (
                 evaluation.error_of(evaluation.error, term)[part],

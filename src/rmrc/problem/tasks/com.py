@@ -141,12 +141,17 @@ class _ComEvaluator:
                     evaluation.error[rows],
                     evaluation.feedforward[rows],
                     evaluation.twist[term.name],
+                    [
+                        (body, share, carrier)
+                        for body, share in term.shares
+                        if (carrier := evaluation.carrier(body)) is not None
+                    ],
                 )
             )
 
     def __call__(self) -> None:
         com = self._data.subtree_com
-        for term, index, target, jacobian, error, feedforward, twist in self._entries:
+        for term, index, target, jacobian, error, feed, twist, carried in self._entries:
             if len(term.shares) == 1:
                 body = term.shares[0][0]
                 mujoco.mj_jacSubtreeCom(self._model, self._data, jacobian, body)
@@ -158,4 +163,8 @@ class _ComEvaluator:
                     jacobian += share * self._part
                     error -= share * com[body]
             if self._moving[index]:
-                feedforward[:] = twist[:3]
+                feed[:] = twist[:3]
+            elif carried:
+                feed[:] = 0.0
+            for body, share, carrier in carried:
+                feed -= share * carrier.velocity(com[body])[:3]

@@ -48,6 +48,11 @@ class PointingTerm(MinkTerm):
     axis: Array
 
     @property
+    def frames(self) -> tuple[FrameHandle, ...]:
+        """The frame."""
+        return (self.frame,)
+
+    @property
     def units(self) -> tuple[str, ...]:
         """The angle."""
         return ("rad",)
