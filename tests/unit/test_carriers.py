@@ -229,11 +229,12 @@ def test_frame_follows_a_moving_mocap_site_without_lag(
         assert step.status is rmrc.Status.OK
 
 
-def test_frame_follows_a_mocap_body_on_its_path(scene: str) -> None:
+@pytest.mark.parametrize("follow", ["rate", "waypoints"])
+def test_frame_follows_a_mocap_body_on_its_path(scene: str, follow: str) -> None:
     tasks = [{"name": "follow", "type": "relative_frame", "frame": TIP, "root": HANDLE}]
     path = {"path": "line", "to": {"position": [0.5, 0.05, 0.2]}, "speed": 0.2,
             "profile": "constant"}  # fmt: skip
-    made = config(scene, tasks, dt=0.002, duration=1.0, obstacles={"cart": path})
+    made = config(scene, tasks, dt=0.002, duration=1.0, obstacles={"cart": path}, follow=follow)
     run = rmrc.solve(made)
     assert run.error["follow"][:, 0].max() < LAG
     assert np.ptp(run.mocap.reshape(-1, 7)[:, 1]) > 0.19

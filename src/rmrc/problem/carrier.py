@@ -30,3 +30,21 @@ def carrier_of(
     """Return the mocap body that carries a body, if there is one, with its row of the twists."""
     mocap = int(model.body_mocapid[model.body_rootid[body]])
     return None if mocap < 0 else Carrier(data.mocap_pos[mocap], twists[mocap])
+
+
+def carry_on(later: mujoco.MjData, now: mujoco.MjData, twists: Array, dt: float) -> None:
+    """Put the mocap bodies of `later` where those of `now` are dt seconds on.
+
+    Args:
+        later: What is written.
+        now: What is read.
+        twists: Velocities of the mocap bodies (nmocap, 6).
+        dt: s.
+    """
+    later.mocap_pos[:], later.mocap_quat[:] = now.mocap_pos + twists[:, :3] * dt, now.mocap_quat
+    for quaternion, rate in zip(later.mocap_quat, twists[:, 3:], strict=True):
+        # mju_quatIntegrate turns by a rate in the body's own axes, and this is the world's.
+        local, inverse = np.empty(3), np.empty(4)
+        mujoco.mju_negQuat(inverse, quaternion)
+        mujoco.mju_rotVecQuat(local, rate, inverse)
+        mujoco.mju_quatIntegrate(quaternion, local, dt)

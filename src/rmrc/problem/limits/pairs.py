@@ -158,14 +158,14 @@ class _Resolver:
             first, second = (self._meaning("pairs", name) for name in entry)
             pairs = _product(first.geoms, second.geoms)
             between = f"'{entry[0]}' and '{entry[1]}'"
-            self._without("that the robot does not move: objects", pairs, self._pushed)
-            if not (pairs & self._moved).any():
+            moved = self._without("that the robot does not move", pairs, self._pushed) & self._moved
+            if not moved.any():
                 if (pairs & self._pushed).any():
                     continue
                 raise FieldError("pairs", f"no joint moves {between} relative to each other")
-            if not (pairs & self._moved & self._measured).any():
+            if not (moved & self._measured).any():
                 raise FieldError("pairs", f"MuJoCo cannot measure the distance of {between}")
-            wanted |= pairs & self._moved
+            wanted |= moved
             if not (first.group or second.group):
                 meant |= pairs
         return wanted, meant

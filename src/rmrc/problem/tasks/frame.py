@@ -257,7 +257,7 @@ class _FrameEvaluator:
             self._feed_forward()
 
     def _feed_forward(self) -> None:
-        """Write what the target's own velocity (v_t, ω_t) adds, less that of what carries the frame.
+        """Write what the target's own velocity (v_t, ω_t) adds, less what a mocap body does.
 
         Along the body's axes it is what the frame would have to do to move with the target as one
         rigid body, (v_t + ω_t × (p_b − p_t), ω_t). Along the world's it is [v_t; Jl⁻¹(φ) ω_t],
