@@ -78,6 +78,9 @@ GRASP = {"name": "grasp", "type": "relative_frame", "frame": {"site": "tcp"},
 ALL = scene(ARM, CUP, DOOR)
 DRIVEN = scene(ARM, CUP, DOOR, actuators=MOTORS)
 EQUALITIES = '<equality><connect name="pin" body1="cup" body2="fore" anchor="0 0 0"/></equality>'
+CHAINED = EQUALITIES.replace("fore", "latch").replace(
+    "</equality>", '<joint joint1="door_hinge" joint2="j1"/></equality>'
+)
 TENDON = """<tendon><fixed name="pull"><joint joint="latch_slide" coef="1"/></fixed></tendon>
 <actuator><motor joint="j1"/><motor tendon="pull"/></actuator>"""
 ROPE = """<tendon><spatial name="rope"><site site="tcp"/><site site="rim"/></spatial></tendon>
@@ -115,6 +118,12 @@ RIMMED = CUP.replace("</body>", '<site name="rim"/></body>')
         (DRIVEN, [HAND], ["j1", "cup_free"], ["door"]),
         (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [{"name": "l", "type": "loop"}], None, []),
         (scene(ARM, CUP, DOOR, actuators=TENDON), [HAND], None, ["cup"]),
+        (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [HAND], None, []),
+        (scene(ARM, CUP, DOOR, actuators=EQUALITIES.replace("fore", "latch") + MOTORS), [HAND],
+         None, ["cup", "door"]),
+        (scene(ARM, CUP, actuators=EQUALITIES.replace("fore", "world") + MOTORS), [HAND], None,
+         ["cup"]),
+        (scene(ARM, CUP, DOOR, actuators=CHAINED + MOTORS), [HAND], None, []),
         (scene(ARM, RIMMED, DOOR, actuators=ROPE), [HAND], None, ["door"]),
         (scene(ARM, RIMMED, actuators='<actuator><general site="rim"/></actuator>'), [HAND], None,
          []),

@@ -14,13 +14,14 @@ from rmrc.problem.limits.ball import BallRange
 from rmrc.problem.limits.barrier import Barrier
 from rmrc.problem.limits.collision import Collision
 from rmrc.problem.limits.workspace import Workspace
+from rmrc.problem.objects import bodies_of_equality
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.axis_align import AxisAlignTerm
 from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.frame import FrameTerm
 from rmrc.problem.tasks.look_at import LookAtTerm
-from rmrc.problem.tasks.loop import LoopTerm, bodies_of_equality
+from rmrc.problem.tasks.loop import LoopTerm
 from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
 from rmrc.qp.rows import Rows
 

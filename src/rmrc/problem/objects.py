@@ -17,6 +17,8 @@ Ids = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 _T = mujoco.mjtTrn
+_E = mujoco.mjtEq
+_TYING = (_E.mjEQ_CONNECT, _E.mjEQ_WELD, _E.mjEQ_JOINT, _E.mjEQ_TENDON)
 _WRAPPED_GEOMS = (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)
 
 
@@ -73,16 +75,18 @@ class Objects:
 def find_objects(model: mujoco.MjModel, claimed: Iterable[int]) -> Objects:
     """Return the trees of joints that no actuator drives and that nobody claims.
 
-    A tree is what hangs on a child of the world. Where all would be objects, only those are that
-    are a single free body; and where then still nothing would move, nothing is.
+    A tree is what hangs on a child of the world. One that an active equality ties to the robot is
+    the robot's, as a cup in its grip or the other half of a closed chain. Where all would be
+    objects, only those are that are a single free body; and where then still nothing would move,
+    nothing is.
 
     Args:
         model: The model.
         claimed: Bodies with a frame of a task's own or with a joint that a task or `dofs` names.
     """
     trees = {int(root) for root in model.body_rootid[model.dof_bodyid]}
-    robot = {int(model.body_rootid[body]) for body in (*claimed, *_driven(model))}
-    found = trees - robot
+    robot = {int(model.body_rootid[body]) for body in (*claimed, *_driven(model))} & trees
+    found = trees - _tied(model, trees, robot)
     if found == trees:
         found = {root for root in trees if _is_free_body(model, root)}
     return Objects(model, () if found == trees else tuple(sorted(found)))
@@ -111,6 +115,30 @@ def claimed_by_mink(model: mujoco.MjModel, tasks: Sequence[BaseTask]) -> list[in
         owners = {"site": model.site_bodyid, "geom": model.geom_bodyid}
         bodies.append(int(owners[kind][i]) if kind in owners else i)
     return bodies
+
+
+def bodies_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
+    """Return the bodies that a connect, weld, joint or tendon constraint holds together."""
+    ids = [int(i) for i in (model.eq_obj1id[equality], model.eq_obj2id[equality]) if i >= 0]
+    kind = mujoco.mjtEq(int(model.eq_type[equality]))
+    if kind == mujoco.mjtEq.mjEQ_TENDON:
+        return [body for tendon in ids for body in bodies_of_tendon(model, tendon)]
+    if kind == mujoco.mjtEq.mjEQ_JOINT:
+        return [int(model.jnt_bodyid[joint]) for joint in ids]
+    of_sites = int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE)
+    return [int(model.site_bodyid[i]) for i in ids] if of_sites else ids
+
+
+def _tied(model: mujoco.MjModel, trees: set[int], robot: set[int]) -> set[int]:
+    """Return the robot's trees and those that active equalities tie to them, one by another."""
+    ties = [
+        {int(model.body_rootid[body]) for body in bodies_of_equality(model, i)} & trees
+        for i in np.flatnonzero(model.eq_active0).tolist()
+        if mujoco.mjtEq(int(model.eq_type[i])) in _TYING
+    ]
+    while joined := [tie for tie in ties if tie & robot and tie - robot]:
+        robot = robot.union(*joined)
+    return robot
 
 
 def _is_free_body(model: mujoco.MjModel, root: int) -> bool:

@@ -14,7 +14,7 @@ from rmrc.config.base import NameOf
 from rmrc.problem.carrier import Carrier
 from rmrc.problem.configuration import joint_type
 from rmrc.problem.frames import find
-from rmrc.problem.objects import bodies_of_tendon
+from rmrc.problem.objects import bodies_of_equality
 from rmrc.problem.tasks.base import (
     Array,
     ConstraintTask,
@@ -91,18 +91,6 @@ class LoopTask(ConstraintTask, WeightedTask):
 def equality_name(model: mujoco.MjModel, equality: int) -> str:
     """Return what a message calls an equality constraint."""
     return model.equality(equality).name or f"equality {equality}"
-
-
-def bodies_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
-    """Return the bodies that an equality constraint holds together."""
-    ids = [int(i) for i in (model.eq_obj1id[equality], model.eq_obj2id[equality]) if i >= 0]
-    kind = mujoco.mjtEq(int(model.eq_type[equality]))
-    if kind == _TENDON:
-        return [body for tendon in ids for body in bodies_of_tendon(model, tendon)]
-    if kind == _JOINT:
-        return [int(model.jnt_bodyid[joint]) for joint in ids]
-    of_sites = int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE)
-    return [int(model.site_bodyid[i]) for i in ids] if of_sites else ids
 
 
 class End(NamedTuple):
