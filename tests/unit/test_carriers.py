@@ -181,6 +181,7 @@ def test_engines_agree_on_what_mocap_bodies_carry(scene: str, tasks: list[dict[s
     problem = rmrc.compile(config(scene, tasks, dt=0.005))
     leader, twin = (rmrc.Controller(problem, engine=engine) for engine in ("python", "native"))
     rng = np.random.default_rng(0)
+    twist = np.zeros(6)
     q, place, turn = (
         problem.start.copy(),
         np.array([0.5, 0.25, 0.2]),
@@ -237,6 +238,7 @@ def test_frame_follows_a_mocap_body_on_its_path(scene: str, follow: str) -> None
     made = config(scene, tasks, dt=0.002, duration=1.0, obstacles={"cart": path}, follow=follow)
     run = rmrc.solve(made)
     assert run.error["follow"][:, 0].max() < LAG
+    assert run.mocap is not None
     assert np.ptp(run.mocap.reshape(-1, 7)[:, 1]) > 0.19
 
 
@@ -296,5 +298,7 @@ def test_targets_paths_check_and_reset_begin_at_the_keyframe(keyed: str) -> None
     controller.reset()
     np.testing.assert_array_equal(data.mocap_pos, [[7, 2, 0], [0.6, 0, 0]])
     np.testing.assert_allclose(np.linalg.norm(data.mocap_quat, axis=1), 1.0)
-    end = rmrc.solve(made).mocap[-1].reshape(-1, 7)  # along the obstacle's own x, the world's y
+    run = rmrc.solve(made)
+    assert run.mocap is not None
+    end = run.mocap[-1].reshape(-1, 7)  # along the obstacle's own x, the world's y
     np.testing.assert_allclose(end[1, :3], [0.6, 0.1, 0.0], atol=1e-9)

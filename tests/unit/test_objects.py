@@ -1,5 +1,6 @@
 """Objects: what nobody drives or claims is where q says, in the way, and does not move."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import rmrc
 from models import config
 from rmrc.control.check import check
 from rmrc.errors import ConfigError
+from rmrc.problem.limits.collision import CollisionPairs
 from rmrc.record.channels import positions, rates
 from rmrc.record.manifest import manifest
 from rmrc.record.plots import panels
@@ -195,7 +197,7 @@ def test_the_arm_stops_before_the_cup(
     assert np.ptp(run.q[:, :2]) > 0.2
 
 
-def least_distance(model: mujoco.MjModel, path: Array, one: str, other: str) -> float:
+def least_distance(model: mujoco.MjModel, path: Iterable[Array], one: str, other: str) -> float:
     data, least = mujoco.MjData(model), np.inf
     for q in path:
         data.qpos[:] = q
@@ -270,12 +272,11 @@ def test_the_hand_goes_to_the_cup(made: Any, engine: Any) -> None:
     q[4] = 0.25  # so that the hand's plane has the target
     for k in range(400):
         q[2] += 2e-4 if k < 200 else 0.0  # the cup is pushed on
-        step = controller.step(q)
-        q[:2] = step.q[:2]
+        q[:2] = controller.step(q).q[:2]
     data.qpos[:] = q
     mujoco.mj_kinematics(problem.model, data)
     assert np.linalg.norm(data.site("tcp").xpos - q[2:5] - [0, 0, 0.05]) < REACHED
-    assert step.error["grasp"][0] < REACHED
+    assert controller.step(q).error["grasp"][0] < REACHED
 
 
 @pytest.mark.parametrize("body", [None, "world"])
@@ -336,6 +337,7 @@ def test_in_the_physics_objects_move_by_themselves(made: Any) -> None:
                           actuation={"noise": 1e-4}))  # fmt: skip
     assert run.q[0, 4] - run.q[-1, 4] > 0.2
     assert not run.v[:, 2:].any()
+    assert run.q_commanded is not None
     np.testing.assert_array_equal(run.q_commanded[:, 2:], np.tile(run.q[0, 2:], (len(run.q), 1)))
 
 
@@ -343,20 +345,26 @@ def test_pairs_that_the_robot_does_not_move_are_dropped(made: Any) -> None:
     everything = {"collision": {"pairs": "all", "d_min": 0.01, "detect": 0.05}}
     problem = rmrc.compile(made(DRIVEN, [HAND], limits=everything))
     model, objects = problem.model, problem.objects.bodies
-    (pairs,) = problem.barriers
-    ours = ~objects[model.geom_bodyid[pairs.geoms]] & (model.geom_bodyid[pairs.geoms] > 0)
+    geoms = pairs_of(problem)
+    ours = ~objects[model.geom_bodyid[geoms]] & (model.geom_bodyid[geoms] > 0)
     assert ours.any(axis=1).all()
-    seen = {model.geom(int(geom)).name for geom in pairs.geoms.ravel()}
+    seen = {model.geom(int(geom)).name for geom in geoms.ravel()}
     assert {"cup_geom", "panel", "bolt", "floor"} <= seen
     named = [["cup", "door"], ["cup_geom", "floor"], ["hand_geom", "cup"]]
     problem = rmrc.compile(made(DRIVEN, [HAND], limits={
         "collision": everything["collision"] | {"pairs": named}}))  # fmt: skip
-    assert len(problem.barriers[0].geoms) == 1
+    assert len(pairs_of(problem)) == 1
     said = [line for line in problem.notices if "that the robot does not move" in line]
     assert len(said) == 2
     with pytest.raises(ConfigError, match="that the robot does not move"):
         rmrc.compile(made(DRIVEN, [HAND], limits={
             "collision": everything["collision"] | {"pairs": named[:2]}}))  # fmt: skip
+
+
+def pairs_of(problem: rmrc.Problem) -> NDArray[np.intp]:
+    (pairs,) = problem.barriers
+    assert isinstance(pairs, CollisionPairs)
+    return pairs.geoms
 
 
 def test_clearance_counts_pairs_that_the_robot_moves(made: Any) -> None:

@@ -22,8 +22,8 @@ class Channel:
     values: Array
     lower: float
     upper: float
-    dof: int | None = None
-    """Which column of the rates it is; None of positions."""
+    dof: int
+    """Which degree of freedom it is of, of an angle of several the first."""
 
     @property
     def excess(self) -> Array:
@@ -49,19 +49,19 @@ def positions(model: dict[str, Any], q: Array) -> list[Channel]:
     channels = []
     for joint in model["joints"]:
         first, lower, upper = joint["qpos"], *(joint["range"] or (-np.inf, np.inf))
-        name = joint["name"]
+        name, dof = joint["name"], joint["dof"]
         if joint["type"] == "ball":
             angle = _rotation_angle(q[:, first : first + 4])
-            channels.append(Channel(f"{name} angle", "rad", angle, -upper, upper))
+            channels.append(Channel(f"{name} angle", "rad", angle, -upper, upper, dof))
         elif joint["type"] == "free":
             channels += [
-                Channel(f"{name} {axis}", "m", q[:, first + i], -np.inf, np.inf)
+                Channel(f"{name} {axis}", "m", q[:, first + i], -np.inf, np.inf, dof + i)
                 for i, axis in enumerate(_AXES)
             ]
             angle = _rotation_angle(q[:, first + 3 : first + 7])
-            channels.append(Channel(f"{name} angle", "rad", angle, -np.inf, np.inf))
+            channels.append(Channel(f"{name} angle", "rad", angle, -np.inf, np.inf, dof + 3))
         else:
-            channels.append(Channel(name, joint["unit"], q[:, first], lower, upper))
+            channels.append(Channel(name, joint["unit"], q[:, first], lower, upper, dof))
     return channels
 
 
