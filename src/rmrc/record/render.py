@@ -89,7 +89,7 @@ def render(
     if model is None:
         config = run.manifest["config"]
         model = load_model(config["scene"], Path(run.manifest["root"]))
-        place_mocap_bodies(model, config["start"])
+        place_mocap_bodies(model, config.get("start"))
     if model.nq != run.q.shape[1]:
         raise RmrcError(f"the model has {model.nq} coordinates and the run {run.q.shape[1]}")
     if not output.parent.is_dir():

@@ -111,12 +111,10 @@ class ClearanceTerm(Term):
         Raises:
             FieldError: If there is none.
         """
-        model = objects.model
-        still = np.flatnonzero(objects.dofs)
-        moved = [
-            np.setdiff1d(np.setxor1d(*(joint_dofs_above(model, b) for b in bodies)), still).size > 0
-            for bodies in model.geom_bodyid[self.geoms]
-        ]
+        model, moved = objects.model, []
+        for one, other in model.geom_bodyid[self.geoms].tolist():
+            dofs = np.setxor1d(joint_dofs_above(model, one), joint_dofs_above(model, other))
+            moved.append(bool((~objects.dofs[dofs]).any()))
         if all(moved):
             return self
         if not any(moved):
