@@ -45,6 +45,7 @@ struct RowsArgument {
 struct FrameArgument {
   Frame frame;
   Reading position, rotation, reference;
+  std::optional<Reading> carrier;
 };
 
 // The engine, and the arrays of Python's that it points into.
@@ -183,7 +184,8 @@ class BoundEngine {
 
   void add_com(const RowsArgument& rows,
                const std::vector<std::tuple<int, double, Reading, Reading>>& moved,
-               const std::vector<std::tuple<double, Reading>>& parts) {
+               const std::vector<std::tuple<double, Reading, Reading, std::optional<Reading>>>&
+                   parts) {
     std::vector<MovedMass> masses;
     for (const auto& [dof, share, point, reference] : moved) {
       require_index(dof, engine_->mujoco().nv, "dof");
@@ -193,15 +195,15 @@ class BoundEngine {
       kept_.push_back(nb::cast(point));
       kept_.push_back(nb::cast(reference));
     }
-    Numbers shares;
-    std::vector<const double*> centres;
-    for (const auto& [share, centre] : parts) {
+    std::vector<Subtree> subtrees;
+    for (const auto& [share, centre, reference, carrier] : parts) {
       require(centre, 3, "a centre of mass");
-      shares.push_back(share);
-      centres.push_back(centre.data());
+      require(reference, 3, "a reference");
+      subtrees.push_back({share, centre.data(), reference.data(), kept(carrier)});
       kept_.push_back(nb::cast(centre));
+      kept_.push_back(nb::cast(reference));
     }
-    add<CentreOfMass>(rows, 3, 3, std::move(masses), std::move(shares), std::move(centres));
+    add<CentreOfMass>(rows, 3, 3, std::move(masses), std::move(subtrees));
   }
 
   void add_coupling(const RowsArgument& rows, const Numbers& by_coordinate, const Numbers& by_dof,
@@ -311,7 +313,15 @@ class BoundEngine {
     kept_.push_back(nb::cast(argument.position));
     kept_.push_back(nb::cast(argument.rotation));
     kept_.push_back(nb::cast(argument.reference));
+    kept(argument.carrier);
     return argument.frame;
+  }
+
+  const double* kept(const std::optional<Reading>& carrier) {
+    if (!carrier) return nullptr;
+    require(*carrier, 6, "carrier");
+    kept_.push_back(nb::cast(*carrier));
+    return carrier->data();
   }
 
   Anchorage kept(const AnchorageArgument& argument) {
@@ -349,14 +359,17 @@ RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading 
 }
 
 FrameArgument make_frame(Reading position, Reading rotation, Reading reference,
-                         std::vector<int> dofs) {
+                         std::vector<int> dofs, std::optional<Reading> carrier) {
   require(position, 3, "position");
   require(rotation, 9, "rotation");
   require(reference, 3, "reference");
-  return {{position.data(), rotation.data(), reference.data(), std::move(dofs)},
+  if (carrier) require(*carrier, 6, "carrier");
+  return {{position.data(), rotation.data(), reference.data(), std::move(dofs),
+           carrier ? carrier->data() : nullptr},
           position,
           rotation,
-          reference};
+          reference,
+          carrier};
 }
 
 void evaluate(BoundEngine& bound, const Reading& q) {
@@ -406,7 +419,7 @@ void bind_engine(nb::module_& m) {
            "twist"_a.noconvert(), "moving"_a.noconvert(), "clamps"_a = std::vector<std::tuple<int, int, double>>());
   nb::class_<FrameArgument>(m, "Frame", "Where the pose of a frame stands, and what moves it.")
       .def(nb::new_(&make_frame), "position"_a.noconvert(), "rotation"_a.noconvert(),
-           "reference"_a.noconvert(), "dofs"_a);
+           "reference"_a.noconvert(), "dofs"_a, "carrier"_a.noconvert().none());
   nb::class_<BoundEngine>(m, "Engine", "The whole step, in the arrays that it is given.")
       .def(nb::init<const std::vector<std::uintptr_t>&, nb::object, nb::object, Writing,
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,

@@ -8,6 +8,13 @@
 
 namespace rmrc {
 
+void velocity_at(const double* twist, const double* origin, const double* point, double* out) {
+  double arm[3];
+  for (int i = 0; i < 3; ++i) arm[i] = point[i] - origin[i];
+  cross(twist + 3, arm, out);
+  for (int i = 0; i < 3; ++i) out[i] += twist[i];
+}
+
 RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
                  const MuJoCo& mujoco, const Stack& stack)
     : data_(std::move(data)),
@@ -25,11 +32,19 @@ RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
   jacobian_.resize(static_cast<std::size_t>(data_.rows) * stride_);
   weighted_.resize(jacobian_.size());
   wanted_.resize(data_.rows);
+  drift_.resize(data_.rows);
   world_.resize(6 * static_cast<std::size_t>(stride_));
 }
 
 void RowTerm::evaluate() {
+  if (carried_) {
+    std::fill(drift_.begin(), drift_.end(), 0.0);
+    if (!moves()) std::fill_n(feedforward(), data_.rows, 0.0);
+  }
   differentiate();
+  if (carried_) {
+    for (int r = 0; r < data_.rows; ++r) feedforward()[r] -= drift_[r];
+  }
   const int rows = data_.rows, count = static_cast<int>(dofs_.size());
   for (int r = 0; r < rows; ++r) {
     double* out = stack_.jacobian + (data_.first + r) * mujoco_.nv;
@@ -137,6 +152,12 @@ void RowTerm::turn(const Frame& frame, const double* T) {
       world[i * stride_ + k] = angular[3 + i] + moved[i];
       world[(3 + i) * stride_ + k] = angular[i];
     }
+  }
+  if (frame.carrier != nullptr) {
+    double velocity[6];
+    velocity_at(frame.carrier, frame.reference, frame.position, velocity);
+    std::copy_n(frame.carrier + 3, 3, velocity + 3);
+    for (int r = 0; r < data_.rows; ++r) drift_[r] += dot(T + 6 * r, velocity, 6);
   }
   for (int r = 0; r < data_.rows; ++r, T += 6) {
     double* out = jacobian_.data() + r * stride_;

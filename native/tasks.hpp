@@ -9,6 +9,9 @@
 
 namespace rmrc {
 
+/// out = v + ω × (p − o) (3,), of a twist [v; ω] about o.
+void velocity_at(const double* twist, const double* origin, const double* point, double* out);
+
 /// What the terms of a problem write into and read from, arrays of Python's.
 struct Stack {
   double* error;        // e of all terms
@@ -35,12 +38,13 @@ struct TermData {
   std::vector<Clamp> clamps;
 };
 
-/// A site, body or geom: where MuJoCo writes its pose, and the dofs that move it.
+/// A site, body or geom: where MuJoCo writes its pose, and what moves it.
 struct Frame {
   const double* position;   // (3,)
   const double* rotation;   // (9,)
-  const double* reference;  // (3,): the point that cdof refers to
+  const double* reference;  // (3,): the origin of its tree's root, which cdof and `carrier` refer to
   std::vector<int> dofs;
+  const double* carrier = nullptr;  // velocity (6,) of the mocap body that its tree stands on
 };
 
 /// A term with a Jacobian of its own, over the columns of the dofs that move it.
@@ -81,8 +85,12 @@ class RowTerm {
   /// Write e, ẋ_ff where the target moves, and J by `turn` or `column`.
   virtual void differentiate() = 0;
 
-  /// J ← T J_w, with J_w the frame's Jacobian along the world's axes and T (rows, 6).
+  /// J ← J + T J_w, with J_w the frame's Jacobian along the world's axes and T (rows, 6), and the
+  /// same for the velocity of what carries the frame.
   void turn(const Frame& frame, const double* T);
+
+  /// Have ẋ_ff written at every step, for a mocap body may carry the frame.
+  void stand_on(const Frame& frame) { carried_ |= frame.carrier != nullptr; }
 
   /// W = S J.
   void weigh();
@@ -98,6 +106,8 @@ class RowTerm {
   std::vector<int> dofs_;  // of the columns: first those that are in the program
   int stride_;
   std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
+  bool carried_ = false;           // whether mocap bodies carry any of it
+  std::vector<double> drift_;      // −∂e/∂t (rows,) of the mocap bodies
 
  private:
   template <int rows>
@@ -175,18 +185,22 @@ struct MovedMass {
   const double* reference;  // (3,)
 };
 
+/// A subtree, whose share of the mass has its centre at `point`.
+struct Subtree {
+  double share;
+  const double *point, *reference, *carrier;  // of the latter two see `Frame`
+};
+
 /// e = c* − Σ share c_i over subtrees: a `com` task.
 class CentreOfMass final : public RowTerm {
  public:
   CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
-               std::vector<double> shares, std::vector<const double*> centres,
-               const MuJoCo& mujoco, const Stack& stack);
+               std::vector<Subtree> subtrees, const MuJoCo& mujoco, const Stack& stack);
 
  private:
   void differentiate() override;
   std::vector<MovedMass> moved_;
-  std::vector<double> shares_;
-  std::vector<const double*> centres_;
+  std::vector<Subtree> subtrees_;
 };
 
 /// e = offset − Σ c_i q_i and J = c: a `coupling` task.

@@ -187,10 +187,9 @@ struct Fixture {
         std::make_unique<rmrc::Axis>(next(direction), ones(3), end, unit, false, mujoco, stack));
     std::vector<rmrc::MovedMass> moved;
     for (const int dof : dofs) moved.push_back({dof, 0.2 * (joints - dof), arm.position, arm.com});
-    engine->add(std::make_unique<rmrc::CentreOfMass>(next(point), ones(3), moved,
-                                                     std::vector<double>{1.0},
-                                                     std::vector<const double*>{arm.position},
-                                                     mujoco, stack));
+    const std::vector<rmrc::Subtree> whole{{1.0, arm.position, arm.com, nullptr}};
+    engine->add(
+        std::make_unique<rmrc::CentreOfMass>(next(point), ones(3), moved, whole, mujoco, stack));
     engine->add(std::make_unique<rmrc::Coupling>(
         next(point), ones(1), std::vector<double>{1, 1, 0, 0, 0},
         std::vector<double>{1, 1, 0, 0, 0},

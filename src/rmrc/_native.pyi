@@ -53,7 +53,12 @@ class Frame:
     """Where the pose of a frame stands, and what moves it."""
 
     def __init__(
-        self, position: Array, rotation: Array, reference: Array, dofs: list[int]
+        self,
+        position: Array,
+        rotation: Array,
+        reference: Array,
+        dofs: list[int],
+        carrier: Array | None,
     ) -> None: ...
 
 _Anchorage = tuple[Frame, Array, list[float], list[float]]
@@ -108,7 +113,7 @@ class Engine:
         self,
         rows: TermRows,
         moved: list[tuple[int, float, Array, Array]],
-        parts: list[tuple[float, Array]],
+        parts: list[tuple[float, Array, Array, Array | None]],
     ) -> None: ...
     def add_coupling(
         self, rows: TermRows, by_coordinate: list[float], by_dof: list[float], offset: float

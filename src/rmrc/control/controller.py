@@ -53,7 +53,7 @@ class Controller:
         self.engine, self.notices = build_engine(problem, engine)
         model = problem.model
         self._model, self._evaluation = model, self.engine.evaluation
-        self._all = problem.dofs.size == model.nv
+        self._all, self._objects = problem.dofs.size == model.nv, problem.objects.dofs
         self._configurations = Configurations(model)
         self._targets = Targets(self._evaluation, self._configurations)
         frozen = problem.box.velocity == 0.0
@@ -103,6 +103,7 @@ class Controller:
         else:
             self._q[:] = self.problem.start
         self._v[:], self._a[:] = self._rates("v", v), self._rates("a", a)
+        self._v[self._objects] = self._a[self._objects] = 0.0
         self._refused = False
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
@@ -260,11 +261,14 @@ class Controller:
         """Return the velocity that this step starts from, as measured; None if v is not valid."""
         before, self._measured = self._measured, q if measured else None
         if v is not None:
-            return self._configurations.read_velocity(v)
-        if before is None or not measured:
+            found = self._configurations.read_velocity(v)
+        elif before is None or not measured:
             return self._v.copy()
-        found = np.empty(self._model.nv)
-        mujoco.mj_differentiatePos(self._model, found, dt, before, q)
+        else:
+            found = np.empty(self._model.nv)
+            mujoco.mj_differentiatePos(self._model, found, dt, before, q)
+        if found is not None:
+            found[self._objects] = 0.0  # what moves an object is no motion of the robot's
         return found
 
     def _stale(self, measured: bool, age: object) -> bool | None:

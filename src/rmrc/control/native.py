@@ -245,7 +245,7 @@ class NativeEngine(PythonEngine):
                 by_coordinate, by_dof = term.by_coordinate.tolist(), term.by_dof.tolist()
                 native.add_coupling(rows, by_coordinate, by_dof, term.offset)
             case LoopTerm() if LoopTerm in kinds:
-                parts = LoopParts(self.problem.model, self.evaluation.data, self._moves, term)
+                parts = LoopParts(self.evaluation, self._moves, term)
                 scale, angular = term.scale.tolist(), term.angular.tolist()
                 native.add_loop(rows, parts.pairs, parts.polynomials, scale, angular)
             case _:
@@ -270,14 +270,17 @@ class NativeEngine(PythonEngine):
         )
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:
-        return native_kinematics.frame_of(
-            self.problem.model, self.evaluation.data, self._moves, frame
-        )
+        return native_kinematics.frame_of(self.evaluation, self._moves, frame)
 
     def _masses(
         self, term: ComTerm
-    ) -> tuple[list[tuple[int, float, Array, Array]], list[tuple[float, Array]]]:
-        """Return what each dof moves of the mass, and the subtrees with their shares."""
+    ) -> tuple[
+        list[tuple[int, float, Array, Array]], list[tuple[float, Array, Array, Array | None]]
+    ]:
+        """Return what each dof moves of the mass, and the subtrees with their shares.
+
+        Of a subtree the origin of its root is there, too, and the twist of a mocap body under it.
+        """
         model, data = self.problem.model, self.evaluation.data
         com = data.subtree_com
         moved = []
@@ -293,7 +296,12 @@ class NativeEngine(PythonEngine):
                 else:
                     continue
                 moved.append((dof, float(inner), com[part], data.xpos[model.body_rootid[body]]))
-        return moved, [(share, com[root]) for root, share in term.shares]
+        parts = []
+        for root, share in term.shares:
+            carrier = self.evaluation.carrier(root)
+            twist = None if carrier is None else carrier.twist
+            parts.append((share, com[root], data.xpos[model.body_rootid[root]], twist))
+        return moved, parts
 
     def _ancestors(self, body: int) -> set[int]:
         """Return a body and those that it hangs on, but for the world."""

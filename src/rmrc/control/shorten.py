@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.problem.carrier import carry_on
 from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.limits.box import Box, braking
 from rmrc.problem.limits.collision import Collision
@@ -186,7 +187,7 @@ class Shortening:
             return 1.0, False
         self._start[:], self._still = data.qpos, not self._twist.any()
         self._steady = self._still and self._slows
-        self._move_obstacles(data, dt)
+        carry_on(self._data, data, self._twist, dt)
         look = self._worst(whole, watched)
         if look.least >= 0.0:
             return 1.0, False
@@ -207,7 +208,7 @@ class Shortening:
     def end(self, data: mujoco.MjData, v: Array, dt: float) -> mujoco.MjData:
         """Return the configuration that v (n,) leads to in a step of dt, for a while."""
         self._start[:] = data.qpos
-        self._move_obstacles(data, dt)
+        carry_on(self._data, data, self._twist, dt)
         self._place(v * dt)
         return self._data
 
@@ -372,17 +373,3 @@ class Shortening:
         qpos[:] = self._start
         mujoco.mj_integratePos(self._model, qpos, self._over_all(way), 1.0)
         mujoco.mj_kinematics(self._model, self._data)
-
-    def _move_obstacles(self, data: mujoco.MjData, dt: float) -> None:
-        """Put the mocap bodies where they will be at the end of the step."""
-        own, twist = self._data, self._twist
-        if not twist.size:
-            return
-        own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos + twist[:, :3] * dt, data.mocap_quat
-        for quaternion, rate in zip(own.mocap_quat, twist[:, 3:], strict=True):
-            # mju_quatIntegrate turns by a rate in the body's own axes, and this is the world's.
-            local = np.empty(3)
-            inverse = np.empty(4)
-            mujoco.mju_negQuat(inverse, quaternion)
-            mujoco.mju_rotVecQuat(local, rate, inverse)
-            mujoco.mju_quatIntegrate(quaternion, local, dt)

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.problem.carrier import Carrier, carrier_of
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Evaluator, Term
 
@@ -75,13 +76,18 @@ class Evaluation:
         self.index = {name: k for k, name in enumerate(names)}
         """The tasks' places in `twists` and `moving`."""
         self.moving = bytearray(len(names))
-        """1 for each task whose target moves, the only ones with a feed-forward."""
+        """1 for each task whose target moves: beside what mocap bodies carry, the only ones with a
+        feed-forward."""
         self.evaluators: dict[type[Term], Evaluator] = {
             kind: kind.evaluator(group, self) for kind, group in zip(classes, groups, strict=True)
         }
         """What evaluates the terms of each class."""
         self.refused: list[str] = []
         """What could not be used at the last evaluation, and why: a step then brakes."""
+
+    def carrier(self, body: int) -> Carrier | None:
+        """Return the mocap body that carries a body, if there is one."""
+        return carrier_of(self.model, self.data, self.obstacle_twist, body)
 
     def rows_of(self, terms: Sequence[Term]) -> slice:
         """Return the rows of e that a run of neighbouring terms fills."""

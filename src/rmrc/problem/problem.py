@@ -17,6 +17,7 @@ from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.box import Box
 from rmrc.problem.limits.extents import FINEST
 from rmrc.problem.limits.speed import FrameSpeed
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.frame import FrameTerm
 
@@ -29,12 +30,15 @@ class Problem:
 
     config: Config
     model: mujoco.MjModel
+    """Its mocap bodies are where the start has them, so that every fresh mjData has them there."""
     start: Array
     """Start configuration (nq,)."""
     dt: float
     """Length of a step, s."""
     dofs: NDArray[np.intp]
     """The dofs that may move (n,), the columns of the program."""
+    objects: Objects
+    """What of the model is not the robot: it is where q says it is, and does not move."""
     terms: tuple[Term, ...]
     metric: Array
     """The constant part of A (nv, nv)."""

@@ -57,7 +57,10 @@ class Assembly:
         self.rate = np.empty_like(self._gain)
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
         self._row_rate = self.rate[:rows]
-        self._fed = any(term.joint and not term.gain for term in evaluation.terms)
+        # What mocap bodies carry may move whenever they do.
+        self._fed = bool(problem.model.nmocap) or any(
+            term.joint and not term.gain for term in evaluation.terms
+        )
         self._clamps = [
             (
                 evaluation.error_of(evaluation.error, term)[part],
@@ -103,7 +106,7 @@ class Assembly:
         """
         problem = self._problem
         weights = [largest_square(problem), *np.diagonal(problem.metric)]
-        weights += [problem.inertia * problem.model.dof_M0.max()]
+        weights += [problem.inertia * problem.model.dof_M0[problem.dofs].max()]
         for term in self._evaluation.terms:
             if term.hard:
                 continue

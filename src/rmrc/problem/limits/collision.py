@@ -16,6 +16,7 @@ from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
 from rmrc.problem.limits.movement import Movement
 from rmrc.problem.limits.pairs import pair_name, resolve_pairs
 from rmrc.problem.limits.separation import Separation, Turning
+from rmrc.problem.objects import Objects
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
@@ -32,7 +33,10 @@ tolerance turns a plane between two geoms too far, and by how much it may be off
 
 
 def collision_pairs(
-    model: mujoco.MjModel, limit: CollisionLimit, where: Whereabouts | None = None
+    model: mujoco.MjModel,
+    limit: CollisionLimit,
+    where: Whereabouts | None = None,
+    objects: Objects | None = None,
 ) -> tuple["CollisionPairs", list[str]]:
     """Resolve a `collision` limit; the notices say what it leaves out.
 
@@ -45,7 +49,7 @@ def collision_pairs(
         FieldError: If a name is unknown, or an entry of `pairs` comes to nothing.
         ModelError: If the scene disables MuJoCo's own convex collision detection.
     """
-    geoms, notices = resolve_pairs(model, limit, where)
+    geoms, notices = resolve_pairs(model, limit, where, objects)
     pairs = CollisionPairs(
         geoms=geoms, d_min=limit.d_min, detect=limit.detect, gain=limit.gain, push=limit.push
     )

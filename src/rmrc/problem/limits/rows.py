@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,12 +16,13 @@ from rmrc.problem.limits.collision import collision_pairs
 from rmrc.problem.limits.joints import held_ranges
 from rmrc.problem.limits.speed import FrameSpeed
 from rmrc.problem.limits.workspace import compile_workspace
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import FieldError, Term
 from rmrc.problem.tasks.frame import FrameTerm
 
 
 def compile_barriers(
-    model: mujoco.MjModel,
+    objects: Objects,
     limits: LimitsModel,
     start: NDArray[np.float64],
     dofs: NDArray[np.intp],
@@ -30,6 +30,7 @@ def compile_barriers(
     notices: list[str],
 ) -> tuple[BarrierLimit, ...]:
     """Return the limits on distances; what is wrong goes to `mistakes`, the rest to `notices`."""
+    model = objects.model
     found: list[BarrierLimit] = [
         *compile_balls(model, limits, dofs),
         *compile_workspace(model, limits.workspace, dofs, mistakes),
@@ -38,7 +39,9 @@ def compile_barriers(
         where = ("limits", "collision")
         try:
             where_joints = Whereabouts(start, held_ranges(model, limits), dofs)
-            pairs, left_out = collision_pairs(model, limits.collision, where_joints)
+            pairs, left_out = collision_pairs(
+                model, limits.collision, where_joints, objects
+            )
         except FieldError as mistake:
             mistakes.append(Mistake((*where, mistake.key), str(mistake)))
         except ModelError as mistake:

@@ -1,5 +1,6 @@
 """The `relative_frame` task: one frame keeps a pose relative to another that may move too."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,6 +23,10 @@ class RelativeFrameTask(PoseTask):
     """The frame that moves."""
     root: Frame
     """The frame in whose coordinates the target is given."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the body of the frame that moves."""
+        return [resolve(model, self.frame).body(model)]
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "RelativeFrameTerm":
         """Resolve both frames; the target is their relative pose at the start."""
@@ -69,3 +74,19 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
         )
         relative = inverse_multiply(target, pose.wxyz_xyz)
         return jlog(relative) @ (adjoint(inverse(relative)) @ turn_back(target, twist))
+
+    @property
+    def frames(self) -> tuple[FrameHandle, ...]:
+        """The frame and its root."""
+        return self.frame, self.root
+
+    def carry(
+        self, configuration: mink.Configuration, target: Array, twists: Sequence[Array]
+    ) -> Array:
+        """Return −Jlog(T_tf) (V_f − Ad(T_fr) V_r)."""
+        pose = configuration.get_transform(
+            self.frame.id, self.frame.kind, self.root.id, self.root.kind
+        )
+        of_frame, of_root = twists
+        carried = of_frame - adjoint(inverse(pose.wxyz_xyz)) @ of_root
+        return -jlog(inverse_multiply(target, pose.wxyz_xyz)) @ carried
