@@ -7,6 +7,12 @@
 
 namespace rmrc {
 
+namespace {
+
+constexpr double most_steps = 9007199254740992.0;  // rmrc.control.shorten.MOST_STEPS
+
+}  // namespace
+
 Path::Path(std::vector<double> deceleration)
     : deceleration_(std::move(deceleration)),
       slows_(std::all_of(deceleration_.begin(), deceleration_.end(),
@@ -27,7 +33,7 @@ void Path::set_out(const double* v, double dt) {
     change_[i] = change < std::numeric_limits<double>::infinity() ? change : 0.0;
     last_ = std::max(last_, steps_[i]);
   }
-  last_ += 1.0;
+  last_ = 1.0 + std::min(last_, most_steps);
 }
 
 void Path::way(double place, double* way) const {
