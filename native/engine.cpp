@@ -105,7 +105,7 @@ void Engine::renew_solver() {
   const int rows = limits_ == nullptr ? 0 : limits_->capacity();
   const int equalities = equalities_ == nullptr ? 0 : equalities_->capacity();
   solver_ = QPSolver(size(), rows, equalities, max_iterations_);
-  least_.emplace(size(), rows, equalities, max_iterations_);
+  least_.emplace(size(), rows, equalities);
 }
 
 void Engine::forget() {

@@ -13,6 +13,7 @@ constexpr double room = 1e-9;  // rmrc.qp.relax.ROOM
 // Weights of ‖step‖² beside the largest of the violations': the next where a solve fails.
 constexpr double rests[] = {1e-10, 1e-7, 1e-4};
 constexpr int most_steps = 100;
+constexpr int most_changes = 10000;  // of the working set in each
 // What a step has to gain of the violation, and of its share, at least.
 constexpr double least_gain = 1e-20;
 constexpr double least_share = 1e-18;
@@ -21,9 +22,9 @@ constexpr double flat = 1e-9;   // share of the slope at its beginning that is n
 
 }  // namespace
 
-LeastViolation::LeastViolation(int size, int max_rows, int max_equalities, int max_iterations)
+LeastViolation::LeastViolation(int size, int max_rows, int max_equalities)
     : size_(size),
-      solver_(size, max_rows, 0, max_iterations),
+      solver_(size, max_rows, 0, most_changes),
       v_(size),
       step_(size),
       at_(max_rows),

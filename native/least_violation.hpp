@@ -17,7 +17,7 @@ namespace rmrc {
 /// All memory is taken by the constructor.
 class LeastViolation {
  public:
-  LeastViolation(int size, int max_rows, int max_equalities, int max_iterations);
+  LeastViolation(int size, int max_rows, int max_equalities);
 
   /// Find it for the limits of a program, whose cost is not read, before the clock says `end`.
   ///
