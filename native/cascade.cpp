@@ -114,7 +114,7 @@ Status Cascade::enter() {
     nearest_to_rest.g = g_.data();
     nearest_to_rest.lo = lo_.data();
     nearest_to_rest.hi = hi_.data();
-    const Status status = attempt(solvers_.front(), nearest_to_rest, size_);
+    const Status status = attempt(solvers_.front(), nearest_to_rest, size_, true);
     if (status != Status::solved) return status;
     std::copy_n(step_.begin(), size_, v_.begin());
   }
@@ -248,8 +248,9 @@ Program Cascade::program(int equalities) const {
           f_.data(), (whole_ ? 0 : size_) + limits_->rows, equalities};
 }
 
-// Solve a program, whose H, lo and hi are written here, in as many attempts as it takes.
-Status Cascade::attempt(QPSolver& solver, const Program& written, int variables) {
+// Solve a program, whose H, lo and hi are written here, in as many attempts as it takes. What is
+// refusable may have no solution; of any other that is rounding.
+Status Cascade::attempt(QPSolver& solver, const Program& written, int variables, bool refusable) {
   const double scale = std::max(1.0, std::sqrt(dot(written.g, written.g, variables)));
   solver.resize(variables);
   Status status = Status::failed;
@@ -262,7 +263,7 @@ Status Cascade::attempt(QPSolver& solver, const Program& written, int variables)
     }
     status = solver.solve(written, end_);
     iterations_ += solver.iterations();
-    if (status == Status::time_limit) return status;
+    if (status == Status::time_limit || (status == Status::infeasible && refusable)) return status;
     if (status != Status::solved) continue;
     std::copy_n(solver.v(), variables, step_.begin());
     const Residuals kkt =
@@ -282,7 +283,7 @@ Status Cascade::attempt(QPSolver& solver, const Program& written, int variables)
 
 // Solve a level's program as it is written, and take over the multipliers.
 Status Cascade::certified(QPSolver& solver, int variables, int equalities) {
-  const Status status = attempt(solver, program(equalities), variables);
+  const Status status = attempt(solver, program(equalities), variables, false);
   if (status != Status::solved) return status;
   const double* y = solver.row_multiplier();
   if (whole_) {

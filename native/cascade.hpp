@@ -70,7 +70,7 @@ class Cascade {
   Status fastest(const Level& level, QPSolver& solver);
   Status nearest(const Level& level, QPSolver& solver);
   void bound(int variables);
-  Status attempt(QPSolver& solver, const Program& program, int variables);
+  Status attempt(QPSolver& solver, const Program& program, int variables, bool refusable);
   Status certified(QPSolver& solver, int variables, int equalities);
   void advance();
   Status keep_free(const double* rows, int count, int stride);

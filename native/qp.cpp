@@ -16,6 +16,9 @@ namespace {
 // working set, so that limits active by a hair cannot be taken up and dropped for ever.
 constexpr double first_tolerance = 1e-13;
 constexpr int looks = 6;
+// Changes of the working set in one look, for each variable, and for each row. More go in circles,
+// which a larger tolerance breaks.
+constexpr int changes_by_variable = 6;
 // Residual of the working set's equations, relative to their terms, that needs no refinement.
 constexpr double resolution = 16.0 * std::numeric_limits<double>::epsilon();
 constexpr int refinements = 5;
@@ -173,7 +176,8 @@ Status QPSolver::run() {
   bool settled = true;  // whether v solves the working set's equations, but for rounding
   for (int look = 0; look < looks; ++look, tolerance *= 10.0) {
     bool changed = false;
-    for (Limit limit; most_violated(tolerance, limit); changed = true) {
+    const int most = iterations_ + changes_by_variable * size_ + rows_;
+    for (Limit limit; iterations_ < most && most_violated(tolerance, limit); changed = true) {
       const Status status = enforce(limit);
       if (status == Status::solved) {
         settled = false;

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 INCONSISTENT = 1e-6
 """Largest residual of equalities that agree with one another, rad/s or m/s."""
 REST = 1e-10
-"""Weight of ‖v‖² beside that of the violations."""
+"""Weight of ‖v − b‖² beside that of the violations."""
 ROOM = 1e-9
 """What is added to the least violation, so that rounding does not shut out all v."""
 
@@ -25,8 +25,8 @@ def least_violation(
 ) -> tuple[float, Array] | None:
     """Move lo, hi and f, in place, by the least amount that lets some v of the box satisfy them.
 
-    min ½‖s‖² + ½‖t‖² + ½ε‖v‖²  s.t.  lb ≤ v ≤ ub,  lo ≤ C v + s ≤ hi,  E v + t = f,
-                                      −max(0, C b − hi) ≤ s ≤ max(0, lo − C b):
+    min ½‖s‖² + ½‖t‖² + ½ε‖v − b‖²  s.t.  lb ≤ v ≤ ub,  lo ≤ C v + s ≤ hi,  E v + t = f,
+                                          −max(0, C b − hi) ≤ s ≤ max(0, lo − C b):
 
     the limit of an exact penalty, for what violates the rows least comes before all costs; and no
     row is violated more than by the brake b, so that one pair of geoms that should come apart never
@@ -42,7 +42,7 @@ def least_violation(
     slack = QP(n + rows + equalities, rows, equalities)
     slack.H.flat[:: slack.g.size + 1] = 1.0
     slack.H.flat[: n * (slack.g.size + 1) : slack.g.size + 1] = REST
-    slack.lb[:n], slack.ub[:n] = qp.lb, qp.ub
+    slack.g[:n], slack.lb[:n], slack.ub[:n] = -REST * brake, qp.lb, qp.ub
     braked, given = qp.C @ brake, slice(n, n + rows)
     slack.lb[given] = -np.maximum(0.0, braked - qp.hi)
     slack.ub[given] = np.maximum(0.0, qp.lo - braked)
@@ -56,6 +56,10 @@ def least_violation(
             return None
         solver.setup(slack)
         solution = solver.solve()
+        if solution.status is SolveStatus.SOLVED:  # once more, from there: b is to leave no trace
+            slack.g[:n] = -REST * solution.v[:n]
+            solver.update(slack)
+            solution = solver.solve()
         certificate.certify(solution)
         if solution.status is SolveStatus.SOLVED and solution.kkt.primal < INCONSISTENT:
             break
