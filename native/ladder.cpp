@@ -10,8 +10,9 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.engine.CERTIFIED and rmrc.qp.relax.INCONSISTENT.
+// rmrc.control.engine: CERTIFIED and MORE_ROOM; and rmrc.qp.relax.INCONSISTENT.
 constexpr double certified = 1e-6;
+constexpr double more_room = 1e-8;  // rad/s or m/s
 constexpr double inconsistent = 1e-6;
 
 }  // namespace
@@ -55,7 +56,14 @@ bool Engine::relax() {
 // Return how the optimum of what was relaxed ends; where it is not found, the v that it was relaxed
 // for is a feasible point.
 Ending Engine::within_relaxed() {
-  const Ending ending = best();
+  Ending ending = best();
+  if (!trusted(ending) && !feasible(ending) && in_time()) {
+    for (int r = 0; r < row_count(); ++r) {
+      lower_[r] -= more_room;
+      upper_[r] += more_room;
+    }
+    ending = best();
+  }
   if (trusted(ending) || feasible(ending)) return ending;
   const Program limits = program();
   double* y = limits_ == nullptr ? nullptr : limits_->arrays().multiplier;

@@ -16,7 +16,7 @@ import rmrc
 from models import REPOSITORY, config
 from rmrc import Controller, Problem, Status
 from rmrc.control.check import check
-from rmrc.problem.limits.pairs import CollisionPairs
+from rmrc.problem.limits.collision import CollisionPairs
 from slow_steps import Place, problem, walk
 
 Array = NDArray[np.float64]

@@ -34,6 +34,8 @@ PROXIMAL = 20
 fewer than 15, and one that it does not may take a second by its hundredth."""
 GAINED = 1e-3
 """Share of the command that solving again has to gain: less is what distances jump by."""
+MORE_ROOM = 1e-8
+"""What relaxed rows are given besides where nothing solves their program, rad/s or m/s."""
 MOST_SHAPES = 256
 """Numbers of rows for which a backend is kept."""
 
@@ -217,14 +219,20 @@ class PythonEngine:
 
     def _within_relaxed(self, v: Array) -> Solution:
         """Return the optimum of what was relaxed for v (n,), or that point if it is not found."""
-        solution = self._elsewhere(self._best(), feasible=True)
+        qp, solution = self._assembly.qp, Solution.at_rest(self._assembly.qp)
+        for room in (0.0, MORE_ROOM):
+            qp.lo -= room
+            qp.hi += room
+            solution = self._elsewhere(self._best(), feasible=True)
+            if self._trusted(solution) or self._feasible(solution) or not self._in_time():
+                break
         if self._trusted(solution) or self._feasible(solution):
             return solution
         timed_out = solution.status is SolveStatus.TIME_LIMIT
         status = SolveStatus.TIME_LIMIT if timed_out else SolveStatus.MAX_ITER
-        point = Solution.at_rest(self._assembly.qp, status)
+        point = Solution.at_rest(qp, status)
         point.v[:] = v
-        Certificate(self._assembly.qp).certify(point)
+        Certificate(qp).certify(point)
         return point
 
     def _best(self) -> Solution:
