@@ -42,7 +42,7 @@ LeastViolation::LeastViolation(int size, int max_rows, int max_equalities)
 
 bool LeastViolation::find(const Program& limits, const double* brake,
                           QPSolver::Clock::time_point end) {
-  limits_ = &limits;
+  limits_ = limits;
   std::copy_n(brake, size_, v_.begin());
   follow(brake, at_, missed_);
   for (int r = 0; r < limits.equalities; ++r) missed_[r] -= limits.f[r];
@@ -68,7 +68,6 @@ bool LeastViolation::find(const Program& limits, const double* brake,
     const double gain = -dot(g_.data(), step_.data(), size_);
     if (!(gain > least_gain + least_share * before * before)) return true;
     const double share = search();
-    if (share == 1.0 && agrees()) k = most_steps;
     for (int i = 0; i < size_; ++i) {
       v_[i] = std::min(std::max(v_[i] + share * step_[i], limits.lb[i]), limits.ub[i]);
     }
@@ -80,39 +79,39 @@ bool LeastViolation::find(const Program& limits, const double* brake,
 
 double LeastViolation::violation() const {
   double square = 0.0;
-  for (int r = 0; r < limits_->rows; ++r) {
+  for (int r = 0; r < limits_.rows; ++r) {
     const double by = excess(r, at_[r]);
     square += by * by;
   }
-  return std::sqrt(square + dot(missed_.data(), missed_.data(), limits_->equalities));
+  return std::sqrt(square + dot(missed_.data(), missed_.data(), limits_.equalities));
 }
 
 void LeastViolation::relax(double* lower, double* upper, double* right) const {
-  for (int r = 0; r < limits_->rows; ++r) {
-    lower[r] = std::min(limits_->lo[r], at_[r] - room);
-    upper[r] = std::max(limits_->hi[r], at_[r] + room);
+  for (int r = 0; r < limits_.rows; ++r) {
+    lower[r] = std::min(limits_.lo[r], at_[r] - room);
+    upper[r] = std::max(limits_.hi[r], at_[r] + room);
   }
-  for (int r = 0; r < limits_->equalities; ++r) right[r] = limits_->f[r] + missed_[r];
+  for (int r = 0; r < limits_.equalities; ++r) right[r] = limits_.f[r] + missed_[r];
 }
 
 // By how much a row is outside its limits, less than 0 below them.
 double LeastViolation::excess(int r, double activity) const {
-  if (activity < limits_->lo[r]) return activity - limits_->lo[r];
-  return activity > limits_->hi[r] ? activity - limits_->hi[r] : 0.0;
+  if (activity < limits_.lo[r]) return activity - limits_.lo[r];
+  return activity > limits_.hi[r] ? activity - limits_.hi[r] : 0.0;
 }
 
 // Write C x and E x.
 void LeastViolation::follow(const double* x, std::vector<double>& rows,
                             std::vector<double>& equalities) const {
-  for (int r = 0; r < limits_->rows; ++r) rows[r] = dot(limits_->C + r * size_, x, size_);
-  for (int r = 0; r < limits_->equalities; ++r) {
-    equalities[r] = dot(limits_->E + r * size_, x, size_);
+  for (int r = 0; r < limits_.rows; ++r) rows[r] = dot(limits_.C + r * size_, x, size_);
+  for (int r = 0; r < limits_.equalities; ++r) {
+    equalities[r] = dot(limits_.E + r * size_, x, size_);
   }
 }
 
 // Write the gradient at v, the Hessian of the piece that v is on, and how far a step may go.
 void LeastViolation::assemble() {
-  const Program& p = *limits_;
+  const Program& p = limits_;
   std::fill(H_.begin(), H_.end(), 0.0);
   std::fill(g_.begin(), g_.end(), 0.0);
   const auto add = [&](const double* row, double missing) {
@@ -140,18 +139,18 @@ Status LeastViolation::solve(double rest, QPSolver::Clock::time_point end) {
   for (int i = 0; i < size_; ++i) largest = std::max(largest, H_[i * size_ + i]);
   if (is_over(end)) return Status::time_limit;
   for (int i = 0; i < size_; ++i) H_[i * size_ + i] += rest * largest;
-  const Program program{H_.data(), g_.data(), lb_.data(), ub_.data(),     limits_->C,  lo_.data(),
-                        hi_.data(), nullptr,  nullptr,    limits_->rows, 0,           limits_->keys};
+  const Program program{H_.data(), g_.data(), lb_.data(), ub_.data(),     limits_.C,  lo_.data(),
+                        hi_.data(), nullptr,  nullptr,    limits_.rows, 0,           limits_.keys};
   return solver_.solve(program, end);
 }
 
 // The slope of ½‖[s; t]‖² at a share of the step.
 double LeastViolation::slope(double share) const {
   double sum = 0.0;
-  for (int r = 0; r < limits_->rows; ++r) {
+  for (int r = 0; r < limits_.rows; ++r) {
     sum += excess(r, at_[r] + share * change_[r]) * change_[r];
   }
-  for (int r = 0; r < limits_->equalities; ++r) {
+  for (int r = 0; r < limits_.equalities; ++r) {
     sum += (missed_[r] + share * changed_[r]) * changed_[r];
   }
   return sum;
@@ -171,16 +170,6 @@ double LeastViolation::search() const {
     (found < 0.0 ? slope_low : slope_high) = found;
   }
   return low;
-}
-
-// Whether the piece that the step was found on is the one it leads to, but for rounding.
-bool LeastViolation::agrees() const {
-  for (int r = 0; r < limits_->rows; ++r) {
-    const double by = excess(r, at_[r]), end = at_[r] + change_[r];
-    const double linear = by == 0.0 ? 0.0 : by + change_[r];
-    if (std::abs(linear - excess(r, end)) > room) return false;
-  }
-  return true;
 }
 
 }  // namespace rmrc

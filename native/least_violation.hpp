@@ -39,11 +39,10 @@ class LeastViolation {
   Status solve(double rest, QPSolver::Clock::time_point end);
   double slope(double share) const;
   double search() const;
-  bool agrees() const;
   void follow(const double* x, std::vector<double>& rows, std::vector<double>& equalities) const;
 
   int size_;
-  const Program* limits_ = nullptr;
+  Program limits_{};
   QPSolver solver_;
   std::vector<double> v_, step_;                   // (n,)
   std::vector<double> at_, change_, floor_, ceil_;  // C v and C step, and what s leaves of C v (rows,)
