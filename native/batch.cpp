@@ -51,17 +51,6 @@ void Batch::load(const Worker& worker, int element, Memory stored) {
   worker.stepper->keep(stored);
 }
 
-void Batch::lend(int element) {
-  const std::lock_guard lock(mutex_);
-  load(workers_[0], element, Memory::returning(memory(element)));
-}
-
-bool Batch::take_back(int element) {
-  const std::lock_guard lock(mutex_);
-  store(workers_[0], element);
-  return std::exchange(refused_[element], 0) != 0;
-}
-
 void Batch::store(const Worker& worker, int element) {
   Memory stored = Memory::storing(memory(element));
   worker.stepper->keep(stored);
@@ -105,14 +94,12 @@ void Batch::read(double* q) {
   }
 }
 
-int Batch::step(const double* q, double dt, const BatchOutput& out) {
+void Batch::step(const double* q, double dt, const BatchOutput& out) {
   const std::lock_guard lock(mutex_);
-  left_ = 0;
   const Call call{q, dt, out};
   pool_.run(count_, [this, &call](int thread, int element) {
     take(workers_[thread], element, call);
   });
-  return left_;
 }
 
 void Batch::take(const Worker& worker, int element, const Call& call) {
@@ -121,11 +108,6 @@ void Batch::take(const Worker& worker, int element, const Call& call) {
   Summary summary{};
   const double* q = call.q == nullptr ? nullptr : call.q + element * nq;
   const bool taken = worker.stepper->step(q, call.dt, summary);
-  if (worker.stepper->left()) {  // and the element stays as it was
-    call.out.flags[element] = -1;
-    ++left_;
-    return;
-  }
   if (!taken) worker.stepper->brake(call.dt);
   store(worker, element);
   const bool valid = taken && refused_[element] == 0;

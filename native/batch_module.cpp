@@ -83,14 +83,14 @@ class BoundBatch {
                 accepted.data());
   }
 
-  int step(const std::optional<Reading>& q, double dt, Writing v, Writing following,
+  void step(const std::optional<Reading>& q, double dt, Writing v, Writing following,
            Statuses flags) {
     if (q) require(*q, batch_->count(), batch_->mujoco().nq);
     require(v, batch_->count(), batch_->mujoco().nv);
     require(following, batch_->count(), batch_->mujoco().nq);
     require(flags, batch_->count(), 1);
     const nb::gil_scoped_release released;
-    return batch_->step(q ? q->data() : nullptr, dt, {v.data(), following.data(), flags.data()});
+    batch_->step(q ? q->data() : nullptr, dt, {v.data(), following.data(), flags.data()});
   }
 
   void read(Writing q) {
@@ -98,21 +98,7 @@ class BoundBatch {
     batch_->read(q.data());
   }
 
-  void lend(int element) {
-    require_element(element);
-    batch_->lend(element);
-  }
-
-  bool take_back(int element) {
-    require_element(element);
-    return batch_->take_back(element);
-  }
-
  private:
-  void require_element(int element) const {
-    if (element < 0 || element >= batch_->count()) throw nb::index_error("no such element");
-  }
-
   std::vector<nb::object> kept_;
   std::unique_ptr<Batch> batch_;
 };
@@ -132,11 +118,8 @@ void bind_batch(nb::module_& m) {
            "Set a target of all, and write for each whether it was valid.")
       .def("step", &BoundBatch::step, "q"_a.none(), "dt"_a, "v"_a.noconvert(),
            "following"_a.noconvert(), "flags"_a.noconvert(),
-           "Take a step of all on the threads, without the GIL; return how many are left to Python.")
-      .def("read", &BoundBatch::read, "q"_a.noconvert(), "Write where the last steps have led to.")
-      .def("lend", &BoundBatch::lend, "element"_a, "Have an element in the first worker.")
-      .def("take_back", &BoundBatch::take_back, "element"_a,
-           "Take it back; return whether a target of its was refused.");
+           "Take a step of all on the threads, without the GIL.")
+      .def("read", &BoundBatch::read, "q"_a.noconvert(), "Write where the last steps have led to.");
 }
 
 }  // namespace rmrc

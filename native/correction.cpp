@@ -15,30 +15,29 @@ constexpr double fastest_rate = 1e6;
 
 }  // namespace
 
-Correction::Correction(const Rows& rows) : rows_(rows), lower_(rows.capacity()) {}
-
-bool Correction::raise_rows(const Kinematics& end, const double* lb, const double* ub, double dt) {
-  std::copy_n(rows_.arrays().lower, rows_.count(), lower_.begin());
+bool Correction::raise_rows(const Kinematics& end, const double* lb, const double* ub, double dt,
+                            double* lower) const {
   bool fell_short = false;
   for (const Block& block : rows_.blocks()) {
-    if (!raise_block(block, end, dt)) continue;
+    if (!raise_block(block, end, dt, lower)) continue;
     fell_short = true;
     for (int row = block.first; row < block.first + block.count; ++row) {
       const double most = fastest(row, lb, ub);
-      lower_[row] = std::min(lower_[row], most - inside * std::abs(most));
+      lower[row] = std::min(lower[row], most - inside * std::abs(most));
     }
   }
   return fell_short;
 }
 
-bool Correction::raise_block(const Block& block, const Kinematics& end, double dt) {
+bool Correction::raise_block(const Block& block, const Kinematics& end, double dt,
+                             double* lower) const {
   const double aside = spare * rows_.resolution();
   bool fell_short = false;
   for (int row = block.first; row < block.first + block.count; ++row) {
     const double after = block.barrier->distance(end, static_cast<int>(rows_.arrays().ids[row]));
     const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + aside - after;
     if (!(shortfall > aside)) continue;
-    lower_[row] += enough / dt * shortfall;
+    lower[row] += enough / dt * shortfall;
     fell_short = true;
   }
   return fell_short;

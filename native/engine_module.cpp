@@ -383,14 +383,12 @@ nb::tuple solve(BoundEngine& bound, const std::optional<Reading>& q, double dt, 
   const std::size_t n = engine.size();
   if (q) require(*q, static_cast<std::size_t>(engine.mujoco().nq), "q");
   require(solution, 2 * n, "solution");
-  const auto begun = q ? engine.resume(q->data(), dt) : std::nullopt;
-  const Ending ending = begun ? *begun : engine.solve(q ? q->data() : nullptr, dt, seconds);
+  const Ending ending = engine.solve(q ? q->data() : nullptr, dt, seconds);
   std::copy_n(engine.v(), n, solution.data());
   std::copy_n(engine.bound_multiplier(), n, solution.data() + n);
   const Residuals& kkt = engine.residuals();
   return nb::make_tuple(name_of(ending), engine.iterations(), kkt.primal, kkt.dual,
-                        kkt.complementarity, engine.outside(), engine.share(), engine.relaxed(),
-                        engine.finished());
+                        kkt.complementarity, engine.outside(), engine.share(), engine.relaxed());
 }
 
 }  // namespace
@@ -456,18 +454,23 @@ void bind_engine(nb::module_& m) {
       .def("limit", &BoundEngine::limit, "rows"_a, "shortening"_a.none(),
            "Have rows in the program, and commands checked where they lead.")
       .def("solve", &solve, "q"_a.none(), "dt"_a, "seconds"_a, "solution"_a.noconvert(),
-           "Solve a step at q, or at what was evaluated if it is None, or take up one that was not\n"
-           "finished; write v and z, and return how it ended, the iterations, the residuals, whether\n"
-           "a joint or a distance is outside its limit, what is left of the command, whether rows\n"
-           "were relaxed, and whether that is all there is to the step.")
+           "Solve a step at q, or at what was evaluated if it is None; write v and z, and return how\n"
+           "it ended, the iterations, the residuals, whether a joint or a distance is outside its\n"
+           "limit, what is left of the command, and whether rows were relaxed.")
       .def_prop_ro(
-          "raised",
-          [](BoundEngine& bound) -> std::optional<Numbers> {
+          "moved",
+          [](BoundEngine& bound) -> std::optional<std::tuple<Numbers, Numbers, Numbers>> {
             const Engine& engine = *bound;
-            if (engine.raised_lower() == nullptr) return std::nullopt;
-            return Numbers(engine.raised_lower(), engine.raised_lower() + engine.limits()->count());
+            if (!engine.moved()) return std::nullopt;
+            const int rows = engine.row_count(), equalities = engine.equality_count();
+            return std::tuple(Numbers(engine.lower(), engine.lower() + rows),
+                              Numbers(engine.upper(), engine.upper() + rows),
+                              Numbers(engine.right(), engine.right() + equalities));
           },
-          "The lo that the last step was solved again with; None if it was not.")
+          "The lo, hi and f that the last step was solved with in the end; None if they were those\n"
+          "of rows and equalities.")
+      .def_prop_ro("boxed", [](BoundEngine& bound) { return (*bound).boxed(); },
+                   "Whether the last step left rows and equalities out in the end.")
       .def("forget", [](BoundEngine& bound) { (*bound).forget(); }, "Start the next solve cold.");
 }
 

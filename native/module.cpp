@@ -4,8 +4,6 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
-#include <chrono>
-#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <stdexcept>
@@ -21,8 +19,6 @@ namespace {
 using Matrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
-
-constexpr double longest = 1e6;  // s: a solve that may take longer has no end; rmrc::Engine
 
 /// Return an array of its own with a copy of n elements.
 Result copied(const double* values, int n) {
@@ -75,13 +71,7 @@ nb::tuple solve(rmrc::QPSolver& solver, const Matrix& H, const Vector& g, const 
                               ub.data(), C.data(),  lo.data(),
                               hi.data(), E.data(),  f.data(),
                               static_cast<int>(rows), static_cast<int>(equalities)};
-  using Clock = rmrc::QPSolver::Clock;
-  auto end = Clock::time_point::max();
-  if (std::isfinite(seconds)) {
-    const std::chrono::duration<double> left(std::clamp(seconds, 0.0, longest));
-    end = Clock::now() + std::chrono::duration_cast<Clock::duration>(left);
-  }
-  const rmrc::Status status = solver.solve(program, end);
+  const rmrc::Status status = solver.solve(program, rmrc::end_after(seconds));
   return nb::make_tuple(copied(solver.v(), solver.size()),
                         copied(solver.bound_multiplier(), solver.size()),
                         copied(solver.row_multiplier(), program.rows),

@@ -8,6 +8,12 @@
 
 namespace rmrc {
 
+namespace {
+
+constexpr double most_steps = 9007199254740992.0;  // rmrc.control.shorten.MOST_STEPS
+
+}  // namespace
+
 Path::Path(std::vector<double> deceleration, std::vector<int> balls)
     : deceleration_(std::move(deceleration)),
       balls_(std::move(balls)),
@@ -31,7 +37,7 @@ void Path::set_out(const double* v, double dt) {
     if (!std::isfinite(change_[i])) change_[i] = 0.0;
     last_ = std::max(last_, steps_[i]);
   }
-  last_ += 1.0;
+  last_ = 1.0 + std::min(last_, most_steps);
 }
 
 void Path::way(double place, double* way) const {

@@ -23,7 +23,7 @@ constexpr double farthest = 1e9;
 Status QPSolver::enforce(const Limit& limit) {
   double multiplier = 0.0;
   while (iterations_ < max_iterations_) {
-    if (!in_time()) return Status::time_limit;
+    if (is_over(end_)) return Status::time_limit;  // quickly looked at, beside what follows
     const bool independent = find_direction(limit);
     const double passed = violation(limit), excess = std::max(0.0, passed);
     const double whole = independent ? excess / curvature_ : infinity;

@@ -402,17 +402,16 @@ void bind_rows(nb::module_& m) {
       .def(
           "share",
           [](BoundShortening& bound, const Reading& v, const Reading& brake,
-             double dt) -> std::optional<std::tuple<double, bool>> {
+             double dt, double seconds) {
             const std::size_t n = (*bound).rows().dofs().size();
             require(v, n, "v");
             require(brake, n, "brake");
-            const Share found = (*bound).share(v.data(), brake.data(), dt);
-            if (!found.known) return std::nullopt;
+            const Share found = (*bound).share(v.data(), brake.data(), dt, end_after(seconds));
             return std::tuple(found.share, found.passed);
           },
-          "v"_a, "brake"_a, "dt"_a,
+          "v"_a, "brake"_a, "dt"_a, "seconds"_a,
           "Return how much of v keeps all distances, from the brake on, and whether one falls\n"
-          "below its limit even so; None if it takes too long to rest.");
+          "below its limit even so; nothing of it after so many seconds.");
 }
 
 }  // namespace rmrc

@@ -16,9 +16,7 @@ constexpr double tolerance = 0.5;
 constexpr double noise = 1e-3;
 constexpr int most_looks = 256;
 constexpr int most_parts = 24;
-// More steps to rest are left to Python.
-constexpr double most_steps = 1e6;
-constexpr int most_ahead = 24;  // > 1 + log₂ most_steps
+constexpr int most_ahead = 56;  // parts of parts, more than log₂ of most_steps of path.cpp
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
@@ -63,15 +61,14 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
 }
 
 // Find the entries that a motion with v, or with any share between it and the brake if there is one,
-// could carry below their limit; false if there are too many steps to rest.
-bool Shortening::watch(const double* v, const double* brake, double dt) {
+// could carry below their limit.
+void Shortening::watch(const double* v, const double* brake, double dt) {
   dt_ = dt;
   std::fill(step_.begin(), step_.end(), 0.0);
   for (int i = 0; i < n_; ++i) {
     command_[i] = brake == nullptr ? v[i] : std::max(std::abs(v[i]), std::abs(brake[i]));
   }
   path_.set_out(command_.data(), dt);
-  if (!(path_.last() <= most_steps)) return false;
   double* way = ahead_[0].look.way.data();
   path_.way(path_.last(), way);
   for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = std::abs(way[i]);
@@ -99,11 +96,11 @@ bool Shortening::watch(const double* v, const double* brake, double dt) {
       entry.now -= entry.floor;
     }
   }
-  return true;
 }
 
 // Whether no look on the path to rest, which is halved until each part is known to be free, finds
-// a room below `least`; the first that does is kept.
+// a room below `least`; the first that does is kept. What the clock cuts short is not known to be
+// free either.
 bool Shortening::worst(double least) {
   Look& end = ahead_[0].look;
   look(path_.last(), all_.data(), count_, end);
@@ -120,10 +117,12 @@ bool Shortening::worst(double least) {
   }
   const int cuts = parts();
   for (int k = 1; k < cuts; ++k) {
+    if (is_over(end_)) return false;
     look(static_cast<double>(k) / cuts, whole.among.data(), whole.count, begin_);
     if (is_short(begin_, least)) return false;
   }
   if (path_.last() == 1.0) return true;
+  if (is_over(end_)) return false;
   look(1.0, whole.among.data(), whole.count, begin_);
   return !is_short(begin_, least) && halved(least);
 }
@@ -144,6 +143,7 @@ bool Shortening::halved(double least) {
       --top;
       continue;
     }
+    if (is_over(end_)) return false;
     Part& half = ahead_[++top];
     std::copy_n(some_.begin(), doubts, part.among.begin());
     std::copy_n(some_.begin(), doubts, half.among.begin());

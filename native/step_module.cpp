@@ -23,8 +23,7 @@ BoundStepper::BoundStepper(nb::object engine, nb::object owner, Writing q, Writi
     : engine_(std::move(engine)),
       owner_(std::move(owner)),
       kept_{nb::cast(q), nb::cast(v), nb::cast(v_previous), nb::cast(moving), nb::cast(targets)},
-      dt_(dt),
-      budget_(budget) {
+      dt_(dt) {
   Engine& native = engine_of(engine_);
   const auto nq = static_cast<std::size_t>(native.mujoco().nq);
   const auto nv = static_cast<std::size_t>(native.mujoco().nv);

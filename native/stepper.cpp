@@ -65,7 +65,6 @@ bool Stepper::read(const double* q) {
 
 bool Stepper::step(const double* q, double dt, Summary& summary) {
   const MuJoCo& mujoco = engine_.mujoco();
-  left_ = false;
   if (q == nullptr) {
     std::copy_n(state_.q, mujoco.nq, from_.begin());
   } else if (!read(q)) {
@@ -73,11 +72,6 @@ bool Stepper::step(const double* q, double dt, Summary& summary) {
   }
   std::copy_n(state_.v, mujoco.nv, state_.v_previous);
   const Ending ending = engine_.solve(from_.data(), dt, budget_);
-  left_ = !engine_.finished();
-  if (left_) {
-    ending_ = ending;
-    return false;
-  }
   progress_.update(engine_, engine_.v(), dt);
   summary = {flags(ending), ending, engine_.iterations()};
   dt_ = dt;

@@ -110,7 +110,8 @@ void test_levels(bool preserved) {
     const std::vector<rmrc::Level> levels = problem.levels(preserved);
     const rmrc::Program limits = problem.limits();
     const long before = allocations;
-    const bool found = cascade.solve(levels, limits, rmrc::QPSolver::Clock::time_point::max());
+    const bool found = cascade.solve(levels, limits, rmrc::QPSolver::Clock::time_point::max()) ==
+                       rmrc::Status::solved;
     expect(allocations == before, "called for memory", k);
     if (!found) continue;
     ++solved;

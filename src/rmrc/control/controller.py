@@ -199,7 +199,7 @@ class Controller:
         evaluation.obstacle_twist[mocap] = pose[7:]
         return True
 
-    @quick_step  # tries `stepper` first, and then has set the deadline
+    @quick_step  # tries `stepper` first
     def step(
         self,
         q: ArrayLike | None = None,
@@ -216,8 +216,7 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
-        if self.stepper is None and self._budget < math.inf:
-            self.engine.deadline = perf_counter() + self._budget
+        self._begin()
         valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else seconds_of(dt)
         if valid is None or seconds is None:
@@ -246,16 +245,10 @@ class Controller:
             self._progress.update(solution.v, dt)
         return self._carried_out(q, solution, self._flags(solution), dt, previous)
 
-    def resume(self, q: Array | None, dt: float) -> Step:
-        """Take a step from a valid q (nq,) that an extension has left, as `step` goes on with it.
-
-        This is for `BatchController`, whose extension does not come back after each step.
-        """
+    def _begin(self) -> None:
+        """Have what follows end in the time that a step may take."""
         if self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
-        valid = self._q.copy() if q is None else self._configurations.read(q)
-        assert valid is not None
-        return self._solved(valid, self._v.copy(), dt)
 
     def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
         """Return the velocity that this step starts from, as measured; None if v is not valid."""
@@ -319,6 +312,7 @@ class Controller:
         It is clipped into the box, and shortened where a distance would be passed.
         The program is not solved; the errors are those of the targets at q.
         """
+        self._begin()
         valid = self._q.copy() if q is None else self._configurations.read(q)
         if valid is None or not np.isfinite(v).all():
             return self._brake(None, _INVALID_INPUT)

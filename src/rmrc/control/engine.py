@@ -35,6 +35,8 @@ PROXIMAL = 20
 fewer than 15, and one that it does not may take a second by its hundredth."""
 GAINED = 1e-3
 """Share of the command that solving again has to gain: less is what distances jump by."""
+MORE_ROOM = 1e-8
+"""What relaxed rows are given besides where nothing solves their program, rad/s or m/s."""
 MOST_SHAPES = 256
 """Numbers of rows for which a backend is kept."""
 
@@ -143,30 +145,30 @@ class PythonEngine:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
 
         The rungs: the full program; the same from a cold start; the same by another backend; the
-        least violation of rows and equalities, and the optimum within it; the box alone; a brake,
+        least violation of rows and equalities, and the optimum within it; that point; the box
+        alone; a brake,
         which is the point of the box nearest to rest. Where distances would be passed at the end of
-        the step, it is solved again for the curvature of the step, or shortened.
+        the step, it is solved again for the curvature of the step, or shortened. When the time is
+        over, a step ends with the point that it has if all limits are known to hold there, else
+        with the brake.
         """
         self.outside = self.prepare(q, v_previous, dt)
         self.scaled = False
         if self.evaluation.refused:
             return self._held_back(dt)
-        return self._finished(self._best(), dt)
-
-    def _held_back(self, dt: float) -> Solution:
-        """Return the brake, for a step of which a part cannot be used; it keeps distances."""
-        solution = self._stop(Solution.at_rest(self._assembly.qp))
-        self.keep_distances(solution, dt)
-        return solution
-
-    def _finished(self, solution: Solution, dt: float) -> Solution:
-        """Return a solution, or what the rungs below have; shortened where it leads too far."""
+        solution = self._best()
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
         if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
             self.share = 1.0
+        return solution
+
+    def _held_back(self, dt: float) -> Solution:
+        """Return the brake, for a step of which a part cannot be used; it keeps distances."""
+        solution = self._stop(Solution.at_rest(self._assembly.qp))
+        self.keep_distances(solution, dt)
         return solution
 
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
@@ -216,10 +218,11 @@ class PythonEngine:
         if not (qp.lo.size or qp.f.size):
             return solution if self._feasible(solution) else self._stop(solution)
         if not self._feasible(solution) and self._in_time():
-            violation = least_violation(qp)
-            if violation is not None:
+            found = least_violation(qp, self._brake(), self._allow)
+            if found is not None:
+                violation, v = found
                 self.relaxed |= violation > INCONSISTENT
-                solution = self._elsewhere(self._best(), feasible=True)
+                solution = self._within_relaxed(v)
         if self._trusted(solution) or self._feasible(solution):
             return solution
         if self._in_time():
@@ -228,6 +231,24 @@ class PythonEngine:
             if self._trusted(solution) or self._feasible(solution):
                 return solution
         return self._stop(solution)
+
+    def _within_relaxed(self, v: Array) -> Solution:
+        """Return the optimum of what was relaxed for v (n,), or that point if it is not found."""
+        qp, solution = self._assembly.qp, Solution.at_rest(self._assembly.qp)
+        for room in (0.0, MORE_ROOM):
+            qp.lo -= room
+            qp.hi += room
+            solution = self._elsewhere(self._best(), feasible=True)
+            if self._trusted(solution) or self._feasible(solution) or not self._in_time():
+                break
+        if self._trusted(solution) or self._feasible(solution):
+            return solution
+        timed_out = solution.status is SolveStatus.TIME_LIMIT
+        status = SolveStatus.TIME_LIMIT if timed_out else SolveStatus.MAX_ITER
+        point = Solution.at_rest(qp, status)
+        point.v[:] = v
+        Certificate(qp).certify(point)
+        return point
 
     def _best(self) -> Solution:
         """Return the optimum of the program, from a warm start where there is one."""
@@ -261,8 +282,7 @@ class PythonEngine:
         return found if self._trusted(found) else solution
 
     def _attempt(self, solver: _Solver) -> Solution:
-        if self.deadline < math.inf:
-            solver.backend.allow(self.deadline - perf_counter())
+        self._allow(solver.backend)
         solver.warm = solver.ready
         if solver.warm:
             solver.backend.update(solver.qp)
@@ -273,6 +293,12 @@ class PythonEngine:
         # What ran out of time goes on from where it got to.
         solver.ready = solution.status in HEALTHY
         return solution
+
+    def _allow(self, backend: Backend) -> bool:
+        """Give a backend the time that is left, and return whether there is any."""
+        if self.deadline < math.inf:
+            backend.allow(self.deadline - perf_counter())
+        return self._in_time()
 
     def _in_time(self) -> bool:
         return self.deadline == math.inf or perf_counter() < self.deadline
@@ -327,6 +353,7 @@ class PythonEngine:
         if self._shortening is None or not self._rows.blocks:
             return
         evaluation, brake = self.evaluation, self._brake()
+        self._shortening.deadline = self.deadline
         self.share, passed = self._shortening.share(
             evaluation.data, solution.v, brake, self._rows.blocks, dt
         )

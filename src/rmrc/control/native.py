@@ -123,8 +123,8 @@ class NativeEngine(PythonEngine):
 
     Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
     would have written them. A step is C++'s as a whole, the correction and the shortening of its
-    command included, until a solution is not certified; tasks and limits of mink's and the rungs of
-    the ladder are the Python engine's, and what they solve is solved in C++. Terms without an
+    command and the rungs of the ladder included; with tasks and limits of mink's the steps are the
+    Python engine's, and what they solve is solved in C++. Terms without an
     evaluator in C++, the foreign ones, are evaluated in Python before C++ assembles.
     """
 
@@ -376,36 +376,31 @@ class NativeEngine(PythonEngine):
             self._evaluate(q)
             if self.evaluation.refused:
                 return super().solve(q, v_previous, dt)
-        seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
         both = np.empty((2, self.problem.dofs.size))
-        status, iterations, *kkt, self.outside, share, relaxed, done = self._native.solve(
-            None if self._foreign else q, dt, seconds, both
+        status, iterations, *kkt, self.outside, share, relaxed = self._native.solve(
+            None if self._foreign else q, dt, self.deadline - perf_counter(), both
         )
         y = w = _NONE
         if not self._box_alone:
             y, w = self._catch_up()
             self.relaxed, self.share = relaxed, share
-        kkt = KKT(*kkt)
-        solution = Solution(both[0], both[1], y, w, iterations, SolveStatus(status), kkt)
         if self._cascade is not None:
             self.scaled = _native.scaled(self._native)
-        if done:
-            return solution
-        super().reset()  # what Python solved last may be of long ago, or of another element's
-        if self._cascade is not None and not self._trusted(solution):
-            solution = self._best()  # which attempts it with more room
-        return self._finished(solution, dt)
+        return Solution(both[0], both[1], y, w, iterations, SolveStatus(status), KKT(*kkt))
 
     def _catch_up(self) -> tuple[Array, Array]:
         """Have the rows and equalities of the last step where Python looks; return y and w."""
         self.behind = False
-        held, y, raised = None, self._rows.read(), self._native.raised
+        held, y, moved = None, self._rows.read(), self._native.moved
         if self._held is not None:
             count = slice(_native.equalities(self._native))
             held = HeldRows(*(array[count].copy() for array in self._held))
         self._take_rows(held)
-        if raised is not None:
-            self._assembly.qp.lo[:] = raised
+        qp = self._assembly.qp
+        if moved is not None:
+            qp.lo[:], qp.hi[:], qp.f[:] = moved
+        if self._native.boxed:
+            self._assembly.resize(0, 0)
         return y, _NONE if held is None else held.multiplier
 
     @property

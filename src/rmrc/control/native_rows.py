@@ -1,6 +1,7 @@
 """The rows of a step in C++, and the check of a command where it leads, as parts of the engine."""
 
 from collections.abc import Iterator
+from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -165,7 +166,7 @@ class NativeRows(Rows):
 
 
 class NativeShortening(Shortening):
-    """Has the extension find the share of a command, unless it takes too long to rest."""
+    """Has the extension find the share of a command."""
 
     def connect(self, rows: NativeRows) -> None:
         """Have the rows of an engine checked."""
@@ -184,5 +185,4 @@ class NativeShortening(Shortening):
         self, data: mujoco.MjData, v: Array, brake: Array, blocks: list[Block], dt: float
     ) -> tuple[float, bool]:
         """Return s, and whether a distance falls below its limit even so."""
-        found = self.native.share(v, brake, dt)
-        return super().share(data, v, brake, blocks, dt) if found is None else found
+        return self.native.share(v, brake, dt, self.deadline - perf_counter())

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -28,6 +29,8 @@ TRIALS = 10
 """Most shares of a command that are tried, once the whole of it is too much."""
 GUESSES = 10
 """Most shares at which one distance is measured, before all of them are looked at."""
+MOST_STEPS = 2.0**53
+"""Most steps to rest that are counted: there are no larger whole numbers that all are floats."""
 MOST_PARTS = 24
 """Most parts of a step that are looked at, so that nothing is passed through."""
 NEARER = 0.98
@@ -49,7 +52,7 @@ class _Path:
         self._count = np.floor(steps)
         self._change = np.where(change < math.inf, change, 0.0)  # no ∞ · 0
         self._half = 0.5 * self._change
-        self.last = 1 + int(self._count.max())
+        self.last = 1 + int(min(self._count.max(), MOST_STEPS))
 
     def way(self, place: float) -> Array:
         """Return how far the joints have moved at a place (n,)."""
@@ -168,11 +171,16 @@ class Shortening:
         self._turning = turning_dofs(problem.model)
         self._resolution, self._tolerance = problem.resolution, TOLERANCE * problem.resolution
         self._start, self._steady, self._still = np.zeros(problem.model.nq), True, True
+        self.deadline = math.inf
+        """When looking has to end, on the clock of `perf_counter`, s."""
 
     def share(
         self, data: mujoco.MjData, v: Array, brake: Array, blocks: list[Block], dt: float
     ) -> tuple[float, bool]:
         """Return s, and whether a distance falls below its limit even so.
+
+        What the clock cuts short is not known to keep distances: s is then 0, for the brake is what
+        the step before has left.
 
         Args:
             data: The present configuration and the mocap bodies.
@@ -196,14 +204,23 @@ class Shortening:
         watched = self._watched(data, fastest, blocks)
         high = 1.0
         for trial in range(TRIALS):
+            if self._is_over():
+                break
             high = self._guess(look, (v, brake), high, dt) * (1.0 - LEAST_PART * trial)
             if high == 0.0:
                 break
             look = self._worst(_Path(brake + high * (v - brake), self._box, dt), watched)
             if look.least >= 0.0:
                 return high, False
+        if self._is_over():
+            return 0.0, False
         # What the step before has left may be used up by rounding.
-        return 0.0, self._worst(rest, watched, -self._tolerance).least < -self._tolerance
+        passed = self._worst(rest, watched, -self._tolerance).least < -self._tolerance
+        return 0.0, passed and not self._is_over()
+
+    def _is_over(self) -> bool:
+        """Return whether the time is over."""
+        return self.deadline < math.inf and perf_counter() >= self.deadline
 
     def end(self, data: mujoco.MjData, v: Array, dt: float) -> mujoco.MjData:
         """Return the configuration that v (n,) leads to in a step of dt, for a while."""
@@ -261,7 +278,10 @@ class Shortening:
         return low
 
     def _worst(self, path: _Path, watched: list[_Watched], least: float = 0.0) -> _Look:
-        """Return the first look on a path to rest at which a room is below `least`; else any."""
+        """Return the first look on a path to rest at which a room is below `least`; else any.
+
+        After the deadline none is known to be free.
+        """
         every = [np.arange(each.ids.size) for each in watched]
         end = self._look(path, path.last, watched, every)
         if end.least < least:
@@ -275,6 +295,8 @@ class Shortening:
         parts = self._parts(path, watched, every)
         for k in range(1, parts):
             look = self._look(path, k / parts, watched, every)
+            if self._is_over():
+                look.least = -math.inf
             if look.least < least:
                 return look
         if path.last == 1:
@@ -303,7 +325,8 @@ class Shortening:
             if any(some.size for some in among):
                 between = self._look(path, before.place + steps // 2, watched, among)
                 looks += 1
-                if looks > MOST_LOOKS and between.least >= least:
+                unknown = looks > MOST_LOOKS or self._is_over()
+                if unknown and between.least >= least:
                     between.least = -math.inf
                 if between.least < least:
                     return between
