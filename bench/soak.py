@@ -246,11 +246,15 @@ class Soak:
         }
 
 
-def once(scene: Scene | Trees, seed: int, steps: int, native: float) -> None:
-    """Take the steps of one episode in this process, as `Episode` says them."""
+def once(scene: Scene | Trees, seed: int, steps: int, native: float, kept: Path | None) -> None:
+    """Take the steps of one episode in this process; its scene stays in a folder, if one is given.
+
+    Raises:
+        Violation: If a step breaks a promise.
+    """
     figures = Figures()
     with TemporaryDirectory() as folder:
-        for _ in Episode(scene, seed, Path(folder), native).run(steps, figures):
+        for _ in Episode(scene, seed, kept or Path(folder), native).run(steps, figures):
             pass
     print(f"{figures.steps} steps of {scene.name}: no promise broken")
 
@@ -267,15 +271,17 @@ def main() -> None:
     command.add_argument("--native", type=float, default=NATIVE, help="share of the native engine")
     command.add_argument("--episode", type=int, metavar="SEED", help="this episode alone")
     command.add_argument("--scene", help="one episode of this scene alone, or of `trees`")
+    command.add_argument("--folder", type=Path, help="where the scene of one episode is kept")
     arguments = command.parse_args()
     mix = Mix(arguments.trees, arguments.native)
     if arguments.episode is not None:
         scene, steps = mix.episode(arguments.episode)
-        once(scene, arguments.episode, arguments.steps or steps, mix.native)
+        once(scene, arguments.episode, arguments.steps or steps, mix.native, arguments.folder)
         return
     if arguments.scene:
         scene = next(each for each in (Trees(), *present()) if each.name == arguments.scene)
-        once(scene, arguments.seed, arguments.steps or STEPS_OF_SCENE, mix.native)
+        steps = arguments.steps or STEPS_OF_SCENE
+        once(scene, arguments.seed, steps, mix.native, arguments.folder)
         return
     total = arguments.steps or 1_000_000
     soak = Soak(mix, total, arguments.seed, arguments.workers)

@@ -73,35 +73,39 @@ class Contract:
     def _objects(self, config: rmrc.Config) -> Mask:
         """Return the dofs of trees that nothing drives, no task moves and nobody names."""
         model = self.model
-        named = set(config.dofs or ())
-        frames: list[int] = []
+        claimed = self._of(config.dofs or ()) | _actuated(model)
+        roots = set(model.body_rootid[model.dof_bodyid[claimed]].tolist())
         for task in self._tasks:
-            named |= set(task.get("joints") or ()) | set(task.get("coefficients") or ())
-            if isinstance(task.get("target"), dict):
-                named |= set(task["target"])
-            if task["type"] in (
-                "frame",
-                "relative_frame",
-                "look_at",
-                "axis_align",
-                "manipulability",
-            ):
-                frames.append(_body(model, task["frame"]))
-            if task["type"] == "com" and task.get("body"):
-                frames.append(model.body(task["body"]).id)
-        tree = model.dof_treeid
-        moved = {int(model.body_treeid[body]) for body in frames}
-        moved |= {int(tree[dof]) for dof in np.flatnonzero(self._of(named))}
-        driven = moved | {int(tree[d]) for d in np.flatnonzero(_actuated(model))}
-        idle = ~np.isin(tree, list(driven))
+            roots |= {int(model.body_rootid[body]) for body in self._claimed(task)}
+        idle = ~np.isin(model.body_rootid[model.dof_bodyid], list(roots))
         if idle.all():
-            idle = np.isin(tree, [t for t in set(tree.tolist()) if self._single(t)])
+            free = model.body_rootid[model.jnt_bodyid[model.jnt_type == int(_T.mjJNT_FREE)]]
+            joints = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
+            idle = np.isin(model.body_rootid[model.dof_bodyid], free[joints[free] == 1])
         return idle if not idle.all() else np.zeros_like(idle)
 
-    def _single(self, tree: int) -> bool:
-        """Return whether a tree is a single free body."""
-        joints = np.unique(self.model.dof_jntid[self.model.dof_treeid == tree])
-        return joints.size == 1 and self.model.jnt_type[joints[0]] == _T.mjJNT_FREE
+    def _claimed(self, task: dict[str, Any]) -> list[int]:
+        """Return the bodies that a task moves, or whose joints it names."""
+        model, found = self.model, []
+        if task["type"] in ("frame", "relative_frame", "look_at", "axis_align", "manipulability"):
+            found.append(_body(model, task["frame"]))
+        if task["type"] == "com" and task["body"]:
+            found.append(model.body(task["body"]).id)
+        joints = [*(task.get("joints") or ()), *(task.get("coefficients") or ())]
+        joints += task["target"] if isinstance(task.get("target"), dict) else ()
+        if task["type"] == "loop":
+            for name in task["equalities"] or [model.equality(k).name for k in range(model.neq)]:
+                k = model.equality(name).id
+                ends = [model.eq_obj1id[k], model.eq_obj2id[k]]
+                if model.eq_type[k] == mujoco.mjtEq.mjEQ_TENDON:
+                    first = model.tendon_adr[ends[0]]
+                    wraps = model.wrap_objid[first : first + model.tendon_num[ends[0]]]
+                    joints += [model.joint(j).name for j in wraps]
+                elif model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT:
+                    joints += [model.joint(j).name for j in ends if j >= 0]
+                else:
+                    found += ends
+        return found + [int(model.jnt_bodyid[model.joint(name).id]) for name in joints]
 
     def _mocap(self, config: rmrc.Config) -> tuple[Array, Array]:
         model = self.model
@@ -268,10 +272,10 @@ def _servos(model: mujoco.MjModel, order: Literal[1, 2]) -> list[tuple[int, Arra
     for k in range(model.nu):
         bias, joint = model.actuator_biasprm[k], int(model.actuator_trnid[k, 0])
         alone = model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT
-        if alone and model.actuator_ctrllimited[k] and model.jnt_type[joint] >= int(_T.mjJNT_SLIDE):
-            if model.actuator_gainprm[k, 0] == -bias[order] > 0.0 and not bias[:order].any():
-                ends = model.actuator_ctrlrange[k] / model.actuator_gear[k, 0]
-                found.append((joint, np.sort(ends)))
+        alone &= bool(model.actuator_ctrllimited[k])
+        alone &= model.jnt_type[joint] >= int(_T.mjJNT_SLIDE)
+        if alone and model.actuator_gainprm[k, 0] == -bias[order] > 0.0 == bias[:order].any():
+            found.append((joint, np.sort(model.actuator_ctrlrange[k] / model.actuator_gear[k, 0])))
     return found
 
 
