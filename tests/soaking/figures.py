@@ -22,7 +22,7 @@ class Figures:
     kkt: float = 0.0
     """The largest residual of a solution that nothing was reported of."""
     slowest: dict[str, tuple[float, str]] = field(default_factory=dict)
-    """The longest time of a step by engine, s of its thread, and how to take it again."""
+    """The longest time of a step by engine, s, of its thread where it has a deadline."""
     late: tuple[float, str] = (-inf, "")
     """The longest time in s that a native step took beyond its deadline."""
     braking: int = 0
