@@ -110,7 +110,8 @@ class Episode:
         """Return the start, or a configuration with many joints near the ends of their range."""
         box, q = self._problem.box, self._problem.start.copy()
         ranged = np.flatnonzero(np.isfinite(box.upper - box.lower))
-        if self.drawer.chance(0.5):
+        closed = any(term.type == "loop" for term in self._problem.terms)
+        if self.drawer.chance(0.1 if closed else 0.5):
             share = self.rng.beta(0.3, 0.3, ranged.size)
             between = (1.0 - share) * box.lower[ranged] + share * box.upper[ranged]
             q[box.coordinate[ranged]] = between
@@ -193,9 +194,10 @@ class Episode:
         if self._movers and self._often(0.01):
             self._move_obstacle()
         refused = False
-        renewed = self._is_late() and self.drawer.chance(0.3)
+        renewed = (self._is_late() and self.drawer.chance(0.3)) or self._number == 0
         for term in self._problem.terms:
-            if term.target.size and (renewed or self._often(0.03)):
+            often = 0.1 if isinstance(self.scene, Trees) else 0.03  # whose episodes are short
+            if term.target.size and (renewed or self._often(often)):
                 refused |= not self._set_target(term)
         if self._often(0.01):
             refused |= self._refused_target()
@@ -320,6 +322,14 @@ class Episode:
         self._contract.take(box, self._problem.dofs)
         self._go_on(replace(self._problem, box=box), self._controller.q)
 
+    def _now_at(self) -> mujoco.MjData:
+        """Return the kinematics of now."""
+        model = self._problem.model
+        data = mujoco.MjData(model)
+        data.qpos, data.mocap_pos, data.mocap_quat = self._controller.q, self._mocap, self._turned
+        mujoco.mj_kinematics(model, data)
+        return data
+
     def _move_obstacle(self) -> None:
         """Put an obstacle elsewhere near the robot, and let it move or rest."""
         rng, drawer, length = self.rng, self.drawer, self.drawn.length
@@ -327,14 +337,7 @@ class Episode:
         speed = 0.2 * self.drawn.rate * np.repeat([length, 1.0], 3)
         self._twist[k] = rng.normal(size=6) * speed if drawer.chance(0.5) else 0.0
         if drawer.chance(0.5):
-            model = self._problem.model
-            data = mujoco.MjData(model)
-            data.qpos, data.mocap_pos, data.mocap_quat = (
-                self._controller.q,
-                self._mocap,
-                self._turned,
-            )
-            mujoco.mj_kinematics(model, data)
+            data = self._now_at()
             near = data.xpos[rng.integers(1, len(data.xpos))]
             self._mocap[k] = near + drawer.direction() * drawer.between(0.1, 1.0) * length
         self._place_mover(k)
@@ -350,14 +353,17 @@ class Episode:
         if drawer.chance(0.05):
             away *= FAR
         kind = term.target_kind
+        place = term.target[-3:] + away if kind in ("pose", "point") else away
+        if self._contract.pairs.size and drawer.chance(0.5):  # into what it must not touch
+            place = self._now_at().geom_xpos[drawer.among(*self._contract.pairs.ravel())].copy()
         if kind == "pose":
-            quaternion, position = term.target[:4], term.target[4:] + away
+            quaternion, position = term.target[:4], place
             if drawer.chance(0.3):
                 quaternion = random_quaternion(rng) * drawer.among(1.0, 1e-6, -1.0, 2.0)
             done = controller.set_target(name, position, quaternion, moving)
         elif kind == "point":
             velocity = None if moving is None else moving[:3]
-            done = controller.set_target(name, term.target + away, velocity=velocity)
+            done = controller.set_target(name, place, velocity=velocity)
         elif kind == "direction":
             done = controller.set_target(name, direction=drawer.direction())
         elif kind == "configuration":

@@ -103,11 +103,11 @@ class _Builder:
         self._stand_about()
         if drawer.chance(0.4):
             self._add_objects()
-        if drawer.chance(0.3):
+        if drawer.chance(0.25):
             self._add_equalities()
         self._drive()
         self._tree.xml = Xml.tostring(self._root, encoding="unicode")
-        if drawer.chance(0.4):
+        if drawer.chance(0.05 if self._tree.equalities else 0.4):  # which it would leave open
             self._add_home()
         return self._tree
 

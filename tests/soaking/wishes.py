@@ -28,7 +28,7 @@ class Wishes:
     def __post_init__(self) -> None:
         drawer, tree = self.drawer, self.tree
         self.dt = drawer.between(SHORTEST, LONGEST)
-        self.rate = 1.0 / drawer.among(1.0, self.dt * drawer.among(10.0, 100.0, 1000.0))
+        self.rate = 1.0 / drawer.among(1.0, *[self.dt * drawer.among(10.0, 50.0, 500.0)] * 4)
         """What rates are multiplied by, 1/s beside those of an arm."""
         self.length = tree.scale
         self._model = tree.model
@@ -68,13 +68,13 @@ class Wishes:
         if drawer.chance(0.1) and len(driven) > 1:
             left_out = drawer.among(*driven)
             config["dofs"] = [name for name in driven if name != left_out]
-        if drawer.chance(0.15) and tree.scalars:
+        if drawer.chance(0.02 if tree.equalities else 0.15) and tree.scalars:
             config["start"] = {drawer.among(*tree.scalars): drawer.among(-4.0, 0.0, 0.5, 40.0)}
         return config
 
     def _gain(self) -> Any:
         drawer = self.drawer
-        return drawer.among(1.0, 10.0 * self.rate, 100.0 * self.rate, "deadbeat")
+        return drawer.among(1.0, self.rate, 10.0 * self.rate, 100.0 * self.rate, "deadbeat")
 
     def _tasks(self) -> list[Data]:
         drawer, frames = self.drawer, self.tree.frames
@@ -86,7 +86,8 @@ class Wishes:
             wanted = [drawer.among(*extras)]
         if self.tree.equalities:
             chosen = None if drawer.chance(0.7) else [drawer.among(*self.tree.equalities)]
-            loop = {"type": "loop", "gain": self._gain(), "equalities": chosen}
+            gain = drawer.among(1.0, 0.5 * self.rate, 5.0 * self.rate, "deadbeat")
+            loop = {"type": "loop", "gain": gain, "equalities": chosen}
             wanted.append({key: value for key, value in loop.items() if value is not None})
         for extra in wanted:
             if "level" not in extra and extra["type"] not in ("loop", "coupling"):
@@ -116,7 +117,7 @@ class Wishes:
         if drawer.chance(0.3):
             task["clamp"] = {"position": 0.1 * self.length, "orientation": 0.3}
         if k == 0:
-            task |= drawer.among(*[{}] * 10, {"preserve": "direction"}, {"hard": True})
+            task |= drawer.among(*[{}] * 14, {"preserve": "direction"}, {"hard": True})
         return task
 
     def _extras(self, frame: dict[str, str]) -> list[Data]:
@@ -151,7 +152,12 @@ class Wishes:
             ]
         if len(scalars) > 1:
             first, second = rng.permutation(scalars)[:2].tolist()
-            found.append({"type": "coupling", "coefficients": {first: 1.0, second: -1.0}})
+            values = [
+                self._data.qpos[self._model.joint(name).qposadr[0]] for name in (first, second)
+            ]
+            coupling: Data = {"type": "coupling", "coefficients": {first: 1.0, second: -1.0}}
+            coupling["offset"] = drawer.among(0.0, *[float(values[0] - values[1])] * 3)
+            found.append(coupling | {"gain": drawer.among(1.0, self.rate, "deadbeat")})
         if tree.geoms and tree.surroundings:
             pair = [drawer.among(*tree.geoms), drawer.among(*tree.surroundings)]
             found.append({"type": "clearance", "pairs": [pair], "distance": 0.1 * self.length})
@@ -179,7 +185,7 @@ class Wishes:
             limits["speed"] = {tasks[0]["name"]: {"linear": linear, "angular": rate}}
         if drawer.chance(0.2):
             limits["workspace"] = [self._plane() for _ in range(drawer.among(1, 1, 2))]
-        if drawer.chance(0.5) and tree.geoms:
+        if drawer.chance(0.65) and tree.geoms:
             limits["collision"] = self._collision()
         return limits
 
@@ -225,9 +231,10 @@ class Wishes:
             "push": 0.1 * length * self.rate,
         }
         if drawer.chance(0.6):
-            shapes = [*tree.geoms, *tree.surroundings]
+            shapes = [*tree.geoms, *tree.surroundings * 2]
+            ends = [*tree.geoms[-3:], *tree.geoms]  # which get about most
             pairs = {
-                tuple(drawer.rng.permutation([drawer.among(*tree.geoms), drawer.among(*shapes)]))
+                tuple(drawer.rng.permutation([drawer.among(*ends), drawer.among(*shapes)]))
                 for _ in range(drawer.among(1, 3, 10))
             }
             limit["pairs"] = [[str(a), str(b)] for a, b in sorted(pairs) if a != b]
