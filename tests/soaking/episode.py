@@ -73,6 +73,8 @@ class Episode:
         self._jitter = self.drawer.chance(0.4)
         self._measured = self.drawer.chance(0.5)
         self._noise = self.drawer.among(0.0, 0.0, 1e-6, 1e-3)
+        self._brisk = 3.0 if isinstance(self.scene, Trees) else 1.0
+        """How often targets and obstacles move, beside the long episodes of the other scenes."""
         self._rough = self.drawer.among(0.0, 1.0, 1.0, 3.0)
         """How often something happens, beside what is usual."""
         model = self._problem.model
@@ -191,13 +193,12 @@ class Episode:
         """Let something happen, and take a step."""
         if self._often(0.004):
             self._change_limits()
-        if self._movers and self._often(0.01):
+        if self._movers and self._often(0.01 * self._brisk):
             self._move_obstacle()
         refused = False
         renewed = (self._is_late() and self.drawer.chance(0.3)) or self._number == 0
         for term in self._problem.terms:
-            often = 0.1 if isinstance(self.scene, Trees) else 0.03  # whose episodes are short
-            if term.target.size and (renewed or self._often(often)):
+            if term.target.size and (renewed or self._often(0.03 * self._brisk)):
                 refused |= not self._set_target(term)
         if self._often(0.01):
             refused |= self._refused_target()

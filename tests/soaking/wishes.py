@@ -152,9 +152,7 @@ class Wishes:
             ]
         if len(scalars) > 1:
             first, second = rng.permutation(scalars)[:2].tolist()
-            values = [
-                self._data.qpos[self._model.joint(name).qposadr[0]] for name in (first, second)
-            ]
+            values = [self._data.joint(name).qpos[0] for name in (first, second)]
             coupling: Data = {"type": "coupling", "coefficients": {first: 1.0, second: -1.0}}
             coupling["offset"] = drawer.among(0.0, *[float(values[0] - values[1])] * 3)
             found.append(coupling | {"gain": drawer.among(1.0, self.rate, "deadbeat")})
