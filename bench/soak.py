@@ -109,7 +109,8 @@ def walk(mix: Mix, seed: int, most: int, folder: Path) -> Iterator[Report]:
 def work(mix: Mix, pipe: Connection, folder: Path) -> None:
     """Run the episodes whose seeds and lengths come in, until None does."""
     while (job := pipe.recv()) is not None:
-        for report in walk(mix, *job, folder):
+        seed, most = job
+        for report in walk(mix, seed, most, folder):
             pipe.send(report)
 
 

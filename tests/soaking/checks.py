@@ -97,11 +97,11 @@ class Checker:
         self._kept = {pair for barrier in problem.barriers for pair in _pairs_of(barrier)}
         """The pairs that the package has not left out."""
         self._planes = config.limits.workspace
-        self._speeds = {
-            task.frame: config.limits.speed[task.name]
+        self._speeds = [
+            (task.frame, config.limits.speed[task.name])
             for task in config.tasks
-            if task.name in config.limits.speed
-        }
+            if task.type == "frame" and task.name in config.limits.speed
+        ]
         self._fixed = np.flatnonzero(contract.object)
         self._certified = not problem.strict and not any(term.preserve for term in problem.terms)
 
@@ -243,7 +243,7 @@ class Checker:
     def _speed(self, v: Array) -> float:
         """Return by how much frames are faster than they may be at the present configuration."""
         jacobian, worst = np.zeros((6, self._model.nv)), -np.inf
-        for frame, limit in self._speeds.items():
+        for frame, limit in self._speeds:
             kinds = {
                 "site": mujoco.mj_jacSite,
                 "body": mujoco.mj_jacBody,
