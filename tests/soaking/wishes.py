@@ -31,11 +31,18 @@ class Wishes:
         self.rate = 1.0 / drawer.among(1.0, *[self.dt * drawer.among(10.0, 50.0, 500.0)] * 4)
         """What rates are multiplied by, 1/s beside those of an arm."""
         self.length = tree.scale
+        self._wild = drawer.chance(0.15)
+        """Whether numbers are of any size."""
         self._model = tree.model
         self._data = mujoco.MjData(self._model)
         if self._model.nkey:
             self._data.qpos = self._model.key_qpos[0]
         mujoco.mj_kinematics(self._model, self._data)
+
+    def _any(self, value: float) -> float:
+        """Return a number, or one of another order of magnitude where things are wild."""
+        drawer = self.drawer
+        return value * drawer.between(1e-6, 1e6) if self._wild and drawer.chance(0.3) else value
 
     def config(self) -> Data:
         """Return a configuration as plain data."""
@@ -47,7 +54,9 @@ class Wishes:
             "tasks": tasks,
             "limits": self._limits(tasks),
             "damping": {
-                "lambda": drawer.among(0.0, 1e-3, *[1e-2] * 4, 1e-2 * min(self.length, 1.0)),
+                "lambda": self._any(
+                    drawer.among(0.0, 1e-3, *[1e-2] * 4, 1e-2 * min(self.length, 1.0))
+                ),
                 "adapt": drawer.among(*["off"] * 4, "sigma_min", "manipulability", "error"),
             },
             "priority": drawer.among(*["soft"] * 5, "strict"),
@@ -59,7 +68,7 @@ class Wishes:
         if drawer.chance(0.05):
             config["solver"]["deadline"] = drawer.among(50.0, 300.0, 900.0)
         if drawer.chance(0.1):
-            config["metric"] = drawer.among(0.01, "inertia")
+            config["metric"] = drawer.among(self._any(0.01), "inertia")
         if drawer.chance(0.1):
             config["timeout"] = {
                 key: self.dt * drawer.among(3.5, 50.0) for key in ("target", "measurement")
@@ -74,6 +83,8 @@ class Wishes:
 
     def _gain(self) -> Any:
         drawer = self.drawer
+        if self._wild and drawer.chance(0.3):
+            return self._any(self.rate)
         return drawer.among(1.0, self.rate, 10.0 * self.rate, 100.0 * self.rate, "deadbeat")
 
     def _tasks(self) -> list[Data]:
@@ -102,7 +113,10 @@ class Wishes:
             "type": "frame",
             "frame": frame,
             "gain": self._gain(),
-            "B": {"position": position, "orientation": drawer.among(0.0, 0.1, 1.0)},
+            "B": {
+                "position": self._any(position),
+                "orientation": self._any(drawer.among(0.0, 0.1, 1.0)),
+            },
             "level": drawer.among(0, 1, 2) if k else 0,
         }
         if drawer.chance(0.15):
@@ -124,7 +138,11 @@ class Wishes:
         """Return tasks of all other types that this tree has a place for."""
         drawer, tree, rng = self.drawer, self.tree, self.drawer.rng
         scalars = tree.scalars
-        posture: Data = {"type": "posture", "B": drawer.among(0.01, 1.0), "gain": self._gain()}
+        posture: Data = {
+            "type": "posture",
+            "B": self._any(drawer.among(0.01, 1.0)),
+            "gain": self._gain(),
+        }
         found: list[Data] = [
             posture,
             posture | {"B": 1e-4},
@@ -189,7 +207,7 @@ class Wishes:
 
     def _rates(self, slides: list[str], low: float, high: float) -> Data:
         """Return limits of rates, those of slides in the lengths of the tree."""
-        value = self.drawer.between(low, high)
+        value = self._any(self.drawer.between(low, high))
         return {"default": value, **dict.fromkeys(slides, value * self.length)}
 
     def _ranges(self) -> Data:
@@ -221,10 +239,10 @@ class Wishes:
 
     def _collision(self) -> Data:
         drawer, tree, length = self.drawer, self.tree, self.length
-        d_min = length * drawer.among(0.0, 0.005, 0.02)
+        d_min = self._any(length * drawer.among(0.0, 0.005, 0.02))
         limit: Data = {
             "d_min": d_min,
-            "detect": d_min + length * drawer.among(0.02, 0.1, 1.0),
+            "detect": d_min + self._any(length * drawer.among(0.02, 0.1, 1.0)),
             "gain": drawer.among(0.5, 0.9, 1.0),
             "push": 0.1 * length * self.rate,
         }
