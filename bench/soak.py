@@ -98,7 +98,7 @@ def walk(mix: Mix, seed: int, most: int, folder: Path) -> Iterator[Report]:
     try:
         episode = Episode(scene, seed, folder, mix.native)
         figures.refused = episode.refused
-        for taken in episode.run(min(steps, most), figures):
+        for taken in episode.run(min(steps, most), figures, True):
             if taken % 50 == 0:
                 yield Report(seed, taken)
     except Violation as violation:
@@ -247,17 +247,21 @@ class Soak:
         }
 
 
-def once(scene: Scene | Trees, seed: int, steps: int, native: float, kept: Path | None) -> None:
+def once(scene: Scene | Trees, seed: int, steps: int, native: float, kept: Path | None) -> int:
     """Take the steps of one episode in this process; its scene stays in a folder, if one is given.
 
-    Raises:
-        Violation: If a step breaks a promise.
+    Return 1 if a promise was broken.
     """
     figures = Figures()
     with TemporaryDirectory() as folder:
-        for _ in Episode(scene, seed, kept or Path(folder), native).run(steps, figures):
-            pass
+        try:
+            for _ in Episode(scene, seed, kept or Path(folder), native).run(steps, figures, True):
+                pass
+        except Violation as broken:
+            print(broken)
+            return 1
     print(f"{figures.steps} steps of {scene.name}: no promise broken")
+    return 0
 
 
 def main() -> None:
@@ -277,13 +281,12 @@ def main() -> None:
     mix = Mix(arguments.trees, arguments.native)
     if arguments.episode is not None:
         scene, steps = mix.episode(arguments.episode)
-        once(scene, arguments.episode, arguments.steps or steps, mix.native, arguments.folder)
-        return
+        count, folder = arguments.steps or steps, arguments.folder
+        sys.exit(once(scene, arguments.episode, count, mix.native, folder))
     if arguments.scene:
         scene = next(each for each in (Trees(), *present()) if each.name == arguments.scene)
         steps = arguments.steps or STEPS_OF_SCENE
-        once(scene, arguments.seed, steps, mix.native, arguments.folder)
-        return
+        sys.exit(once(scene, arguments.seed, steps, mix.native, arguments.folder))
     total = arguments.steps or 1_000_000
     soak = Soak(mix, total, arguments.seed, arguments.workers)
     with Progress(disable=not sys.stdout.isatty()) as progress:

@@ -20,6 +20,7 @@ from soaking.checks import TOLERANCE, Checker, Moment, carried
 from soaking.contract import Contract
 from soaking.drawer import Array, Drawer, Generator
 from soaking.figures import Figures
+from soaking.reduction import Taken
 from soaking.scenes import Drawn, Scene, Trees
 
 NAN, INF = float("nan"), float("inf")
@@ -81,6 +82,9 @@ class Episode:
         self._contract = Contract(self._problem.config, model)
         if different := self._contract.differences(self._problem.box, self._problem.dofs):
             raise Violation(self._message(0, f"limits are not those asked for: {different}"))
+        self._changed = False
+        """Whether the limits are no longer those of the configuration."""
+        self._taken: Taken | None = None
         self._twist = np.zeros((model.nmocap, 6))
         self._movers = {
             int(model.body_mocapid[body]): model.body(body).name
@@ -130,8 +134,13 @@ class Episode:
         self._mocap, self._turned = (array.copy() for array in self._contract.mocap)
         self._twist[:] = 0.0
 
-    def run(self, count: int, figures: Figures) -> Iterator[int]:
+    def run(self, count: int, figures: Figures, reduces: bool = False) -> Iterator[int]:
         """Take some steps; yield the number of those done.
+
+        Args:
+            count: How many steps.
+            figures: What takes note of them.
+            reduces: Whether a broken promise is told by the least that breaks it, too.
 
         Raises:
             Violation: If a step breaks a promise.
@@ -144,15 +153,24 @@ class Episode:
             except Violation:
                 raise
             except Exception as raised:
-                raise Violation(self._message(k, f"raised {raised!r}")) from raised
+                least = self._reduced({"raised"}) if reduces else ""
+                raise Violation(self._message(k, f"raised {raised!r}") + least) from raised
             self._advance(moment, step)
             figures.add(self.scene.name, step, found, moment.braking)
             wrong = {kind: x for kind, x in found.items() if not x <= TOLERANCE[kind]}
             if wrong:
                 said = ", ".join(f"{kind} by {excess:.3g}" for kind, excess in wrong.items())
-                raise Violation(self._message(k, f"{said} ({step.status.name})"))
+                least = self._reduced(set(wrong)) if reduces else ""
+                raise Violation(self._message(k, f"{said} ({step.status.name})") + least)
             figures.kkt = max(figures.kkt, found.get("certificate", 0.0))
             yield k + 1
+
+    def _reduced(self, broken: set[str]) -> str:
+        """Return the least that breaks the same promises at the last step."""
+        if self._taken is None:
+            return ""
+        self._taken.broken = frozenset(broken)
+        return f"\n  {self._taken.told()}"
 
     def _message(self, k: int, said: str) -> str:
         engine = self.drawn.config.get("engine")
@@ -204,7 +222,19 @@ class Episode:
             refused |= self._refused_target()
         arguments, moment = self._inputs()
         moment.invalid |= refused
-        problem = self._problem
+        problem, evaluation = self._problem, self._controller.engine.evaluation
+        targets = {
+            term.name: (
+                term.target_kind,
+                evaluation.target[term.name].copy(),
+                evaluation.twist[term.name].copy()
+                if evaluation.moving[evaluation.index[term.name]]
+                else None,
+            )
+            for term in problem.terms
+        }
+        box = problem.box if self._changed else None
+        self._taken = Taken(self.drawn.config, box, targets, moment, arguments, frozenset())
         bounded = problem.deadline < INF and self.engine == "native"
         clock = thread_time if bounded else perf_counter  # what other processes take is not ours
         begin = clock()
@@ -240,7 +270,7 @@ class Episode:
         if problem.config.previous == "measured":
             v = arguments["v"] = v + rng.normal(size=v.size) * drawer.among(0.0, 1e-3, 0.1)
             self._checker.disturb()
-        mocap = (self._mocap, self._turned, self._twist)
+        mocap = (self._mocap.copy(), self._turned.copy(), self._twist.copy())
         moment = Moment(q, v, a, dt, mocap, braking=False, invalid=False)
         self._spoil(arguments, moment)
         if self._stale(arguments, moment):
@@ -321,6 +351,7 @@ class Episode:
         factor = np.exp(rng.uniform(-1.0, 1.0, low.size))
         box = replace(box, lower=low, upper=high, velocity=box.velocity * factor)
         self._contract.take(box, self._problem.dofs)
+        self._changed = True
         self._go_on(replace(self._problem, box=box), self._controller.q)
 
     def _now_at(self) -> mujoco.MjData:
