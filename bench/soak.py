@@ -208,7 +208,7 @@ class Soak:
         if worker.job is None or not (died or time.monotonic() - worker.heard > HUNG):
             return worker
         code = self._dismissed(worker)
-        said = f"the process died with {code}" if died else f"no step in {HUNG:g} s"
+        said = f"the process died, exit code {code}" if died else f"no step in {HUNG:g} s"
         self._note(Report(seed, 0, Figures(), f"{self._mix.again(seed)}: {said}"), progress)
         return self._hired(folder)
 
