@@ -194,11 +194,23 @@ class Checker:
         return found
 
     def _brake(self, moment: Moment, v: Array) -> float:
-        """Return how far a command is from what braking at the acceleration limit leaves."""
-        dofs = self._problem.dofs
-        left = np.abs(moment.v[dofs]) - self._problem.box.acceleration * moment.dt
-        expected = np.sign(moment.v[dofs]) * np.maximum(left, 0.0)
-        return float(np.abs(v[dofs] - expected).max())
+        """Return how far a command is from what braking at the acceleration limit leaves.
+
+        The rates of a ball joint may keep their proportions: then the one that takes longest brakes
+        at its limit, and the others less, but none gains speed.
+        """
+        dofs, model = self._problem.dofs, self._model
+        before, v, limit = moment.v[dofs], v[dofs], self._problem.box.acceleration * moment.dt
+        expected = np.sign(before) * np.maximum(np.abs(before) - limit, 0.0)
+        excess = np.abs(v - expected)
+        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)):
+            three = np.flatnonzero(model.dof_jntid[dofs] == joint)
+            if not three.size:
+                continue
+            others = np.delete(three, np.argmax(np.abs(before[three]) / limit[three]))
+            low, high = np.sort([expected[others], before[others]], axis=0)
+            excess[others] = np.maximum(low - v[others], v[others] - high)
+        return float(excess.max())
 
     def _rows(self, moment: Moment, step: Step) -> dict[str, float]:
         """Return the violations of frame speeds, planes, angles and distances.
