@@ -23,6 +23,8 @@ DEEP = 0.02
 """Share of the depth by which the depth of an overlap is known."""
 ROUNDING = 4.0 * np.finfo(float).eps
 """Share of a number by which sums of it may be off."""
+RANK = 1e-5
+"""Share of the largest singular value below which constraints may count as dependent."""
 AT_REST = 1e-12
 """rad/s and rad/s² up to which a joint stands still."""
 
@@ -43,6 +45,7 @@ TOLERANCE = {
     "workspace": MEASURED,
     "distance": MEASURED,
     "equality": MEASURED,
+    "loop": MEASURED,
     "certificate": MEASURED,
     "residual": MEASURED,
     "reported": 0.0,
@@ -102,6 +105,9 @@ class Checker:
             for task in config.tasks
             if task.type == "frame" and task.name in config.limits.speed
         ]
+        hard = [task for task in config.tasks if getattr(task, "hard", False)]
+        self._loop = hard[0] if len(hard) == 1 and hard[0].type == "loop" else None
+        """The task whose equalities are the only ones, if there is such."""
         self._fixed = np.flatnonzero(contract.object)
         self._certified = not problem.strict and not any(term.preserve for term in problem.terms)
 
@@ -123,7 +129,7 @@ class Checker:
             self._calm[:] = False
             found["brake"] = self._brake(moment, step.v)
             return found
-        found |= self._rows(moment, step)
+        found |= self._rows(moment, step) | self._closing(moment, step)
         found |= self._optimum(step, controller)
         return found
 
@@ -244,6 +250,36 @@ class Checker:
                 worst = max(worst, before - d - DEEP * max(-before, 0.0))
         found["distance"] = worst
         return found
+
+    def _closing(self, moment: Moment, step: Step) -> dict[str, float]:
+        """Return how far MuJoCo's own constraints are from J v = −K r, in what v can do about it.
+
+        It is the part of the difference that lies in the range of J, relative to the rates.
+        """
+        loop, flags, model, data = self._loop, step.flag_bits, self._model, self._data
+        given_up = (Status.RELAXED, Status.MAX_ITER, Status.DEADLINE)
+        if loop is None or any(flags >> status & 1 for status in given_up) or moment.mocap[2].any():
+            return {}
+        self._move_to(moment.q, *moment.mocap[:2])
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_makeConstraint(model, data)
+        names = loop.equalities or [model.equality(k).name for k in range(model.neq)]
+        ids = [model.equality(name).id for name in names]
+        meant = np.isin(data.efc_id[: data.ne], ids)
+        jacobian = np.zeros((data.ne, model.nv))
+        if mujoco.mj_isSparse(model):
+            counts, starts = data.efc_J_rownnz[: data.ne], data.efc_J_rowadr[: data.ne]
+            mujoco.mju_sparse2dense(jacobian, data.efc_J, counts, starts, data.efc_J_colind)
+        else:
+            jacobian[:] = data.efc_J[: jacobian.size].reshape(jacobian.shape)
+        gain = np.inf if loop.gain == "deadbeat" else loop.gain
+        rates = min(gain, 1.0 / moment.dt) * data.efc_pos[: data.ne][meant]
+        free = self._contract.moves & (self._contract.velocity > 0.0)
+        left, sigma, _ = np.linalg.svd(jacobian[np.ix_(meant, free)], full_matrices=False)
+        left = left[:, sigma > RANK * max(1.0, *sigma[:1])]
+        missed = np.linalg.norm(left.T @ (jacobian[meant] @ step.v + rates))
+        return {"loop": float(missed / max(1.0, np.linalg.norm(rates)))}
 
     def _move_to(self, q: Array, position: Array, quaternion: Array) -> None:
         data = self._data
