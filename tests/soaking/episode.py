@@ -10,6 +10,7 @@ from zlib import crc32
 
 import mujoco
 import numpy as np
+from pydantic import ValidationError
 
 import rmrc
 from models import random_configuration, random_quaternion
@@ -101,7 +102,7 @@ class Episode:
             self.drawn.config["engine"] = engine
             try:
                 return rmrc.compile(rmrc.Config.model_validate(self.drawn.config))
-            except rmrc.errors.ConfigError:
+            except (rmrc.errors.ConfigError, ValidationError):
                 if isinstance(self.scene, Scene):
                     raise
                 self.refused += 1

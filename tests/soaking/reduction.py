@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pydantic import ValidationError
+
 import rmrc
 from rmrc.problem.limits.box import Box
 from soaking.checks import TOLERANCE, Checker, Moment
@@ -35,7 +37,7 @@ class Taken:
         """Return whether a configuration breaks one of the same promises from the same place."""
         try:
             problem = rmrc.compile(rmrc.Config.model_validate(config))
-        except rmrc.errors.RmrcError:
+        except (rmrc.errors.RmrcError, ValidationError):
             return False
         if self.box is not None and self.box.lower.size != problem.dofs.size:
             return False
