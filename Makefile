@@ -51,7 +51,7 @@ instructions: $(VENV)/test.stamp
 	$(ONE) $(BIN)/python bench/instructions.py --check
 
 soak: $(VENV)/test.stamp
-	$(ONE) $(BIN)/python bench/soak.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/soak.py --workers 2 --json bench/results.json
 
 schema: $(VENV)/test.stamp
 	$(BIN)/rmrc schema > rmrc.schema.json
