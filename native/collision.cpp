@@ -24,6 +24,7 @@ double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
 Collision::Collision(const PairArrays& arrays, const MuJoCo& mujoco)
     : Barrier(arrays.pairs, arrays.gain, arrays.push),
       a_(arrays),
+      home_(arrays),
       mujoco_(mujoco),
       nv_(mujoco.nv),
       width_(mujoco.nv + 6 * arrays.mocaps),
@@ -77,7 +78,7 @@ void Collision::near(const Kinematics& now, const double* travel, double dt, Nea
 
 void Collision::keep(Memory& memory) {
   const auto place = [&](auto* PairArrays::*array, int count) {
-    memory.place(a_.*array, count);
+    memory.place(a_.*array, home_.*array, count);
   };
   for (const auto array : {&PairArrays::bound, &PairArrays::threshold, &PairArrays::distance}) {
     place(array, a_.pairs);

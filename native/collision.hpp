@@ -80,6 +80,7 @@ class Collision final : public Barrier {
   GeomPair pair(int id) const;
 
   PairArrays a_;
+  const PairArrays home_;  // where the arrays are that a step leaves to the next, if not placed
   const MuJoCo& mujoco_;
   int nv_, width_;
   std::vector<double> travel_, moved_;  // (nv + 6 mocaps,), (bodies,)

@@ -13,7 +13,7 @@ namespace rmrc {
 /// one stores them, one loads them again. The sizes must be the same in all.
 ///
 /// Large arrays, of which a step touches little, are not copied: `place` has them stand in the
-/// memory itself.
+/// memory itself, until they are brought home to where others look for them.
 class Memory {
  public:
   /// Count the bytes.
@@ -21,6 +21,8 @@ class Memory {
 
   static Memory storing(std::byte* at) { return Memory(at, Pass::store); }
   static Memory loading(std::byte* at) { return Memory(at, Pass::load); }
+  /// Load, and bring home what was placed.
+  static Memory returning(std::byte* at) { return Memory(at, Pass::bring_home); }
 
   std::size_t bytes() const { return bytes_; }
 
@@ -44,15 +46,16 @@ class Memory {
     bytes_ += most * sizeof(T);
   }
 
-  /// Have an array stand in the memory once loaded.
+  /// Have an array, which stands at `home` if it is not placed, stand in the memory once loaded.
   template <class T>
-  void place(T*& values, std::size_t count) {
+  void place(T*& values, T* home, std::size_t count) {
     static_assert(std::is_trivially_copyable_v<T>);
     bytes_ = (bytes_ + alignof(T) - 1) / alignof(T) * alignof(T);
     if (at_ != nullptr) {
       T* placed = reinterpret_cast<T*>(at_ + bytes_);
       if (pass_ == Pass::store && values != placed) std::copy_n(values, count, placed);
-      if (pass_ == Pass::load) values = placed;
+      if (pass_ == Pass::bring_home) std::copy_n(placed, count, home);
+      if (pass_ != Pass::store) values = pass_ == Pass::load ? placed : home;
     }
     bytes_ += count * sizeof(T);
   }
@@ -68,7 +71,7 @@ class Memory {
   }
 
  private:
-  enum class Pass { count, store, load };
+  enum class Pass { count, store, load, bring_home };
 
   Memory(std::byte* at, Pass pass) : at_(at), pass_(pass) {}
 

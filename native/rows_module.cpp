@@ -328,7 +328,7 @@ class BoundShortening {
 
  private:
   static std::vector<int> checked_balls(nb::handle rows, std::vector<int> balls) {
-    const int n = static_cast<int>(rows_of(rows).size());
+    const int n = static_cast<int>(rows_of(rows).dofs().size());
     for (const int first : balls) require_index(first, n - 2, "a ball joint's first dof");
     return balls;
   }

@@ -39,9 +39,7 @@ def compile_barriers(
         where = ("limits", "collision")
         try:
             where_joints = Whereabouts(start, held_ranges(model, limits), dofs)
-            pairs, left_out = collision_pairs(
-                model, limits.collision, where_joints, objects
-            )
+            pairs, left_out = collision_pairs(model, limits.collision, where_joints, objects)
         except FieldError as mistake:
             mistakes.append(Mistake((*where, mistake.key), str(mistake)))
         except ModelError as mistake:
