@@ -43,6 +43,7 @@ bench: $(VENV)/test.stamp
 	$(ONE) $(BIN)/python bench/safety.py --json bench/results.json
 	$(ONE) $(BIN)/python bench/batch.py --json bench/results.json
 	$(ONE) $(BIN)/python bench/jitter.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/slowest.py --json bench/results.json
 	$(ONE) $(BIN)/python bench/scaling.py --json bench/results.json --plot docs/scaling.svg
 	$(BIN)/python bench/table.py
 
@@ -50,7 +51,7 @@ instructions: $(VENV)/test.stamp
 	$(ONE) $(BIN)/python bench/instructions.py --check
 
 soak: $(VENV)/test.stamp
-	$(ONE) $(BIN)/python bench/soak.py --json bench/results.json
+	$(ONE) $(BIN)/python bench/soak.py --workers 2 --json bench/results.json
 
 schema: $(VENV)/test.stamp
 	$(BIN)/rmrc schema > rmrc.schema.json

@@ -23,11 +23,23 @@ Batch::Batch(int count, std::vector<Worker> workers, std::vector<double> start, 
       moving_(static_cast<std::size_t>(count) * tasks),
       refused_(count),
       pool_(static_cast<int>(workers_.size())) {
-  Memory counted;
-  workers_[0].stepper->keep(counted);
-  bytes_ = (counted.bytes() + line - 1) / line * line;
+  bytes_ = (kept_bytes(*workers_[0].stepper) + line - 1) / line * line;
   memory_.resize(count * bytes_);
   for (int element = 0; element < count; ++element) store(workers_[0], element);
+}
+
+Batch::~Batch() {
+  // Large arrays stand in the memory that ends here.
+  for (const Worker& worker : workers_) {
+    Memory last = Memory::returning(memory(0));
+    worker.stepper->keep(last);
+  }
+}
+
+std::size_t kept_bytes(Stepper& stepper) {
+  Memory counted;
+  stepper.keep(counted);
+  return counted.bytes();
 }
 
 void Batch::load(const Worker& worker, int element, Memory stored) {
@@ -37,17 +49,6 @@ void Batch::load(const Worker& worker, int element, Memory stored) {
   std::copy_n(moving_.data() + element * tasks_, tasks_, worker.moving);
   worker.stepper->engine().rest_targets();
   worker.stepper->keep(stored);
-}
-
-void Batch::lend(int element) {
-  const std::lock_guard lock(mutex_);
-  load(workers_[0], element, Memory::returning(memory(element)));
-}
-
-bool Batch::take_back(int element) {
-  const std::lock_guard lock(mutex_);
-  store(workers_[0], element);
-  return std::exchange(refused_[element], 0) != 0;
 }
 
 void Batch::store(const Worker& worker, int element) {
@@ -93,14 +94,12 @@ void Batch::read(double* q) {
   }
 }
 
-int Batch::step(const double* q, double dt, const BatchOutput& out) {
+void Batch::step(const double* q, double dt, const BatchOutput& out) {
   const std::lock_guard lock(mutex_);
-  left_ = 0;
   const Call call{q, dt, out};
   pool_.run(count_, [this, &call](int thread, int element) {
     take(workers_[thread], element, call);
   });
-  return left_;
 }
 
 void Batch::take(const Worker& worker, int element, const Call& call) {
@@ -109,11 +108,6 @@ void Batch::take(const Worker& worker, int element, const Call& call) {
   Summary summary{};
   const double* q = call.q == nullptr ? nullptr : call.q + element * nq;
   const bool taken = worker.stepper->step(q, call.dt, summary);
-  if (worker.stepper->left()) {  // and the element stays as it was
-    call.out.flags[element] = -1;
-    ++left_;
-    return;
-  }
   if (!taken) worker.stepper->brake(call.dt);
   store(worker, element);
   const bool valid = taken && refused_[element] == 0;

@@ -1,7 +1,6 @@
 // Many controllers of one problem at once: rmrc.control.batch.
 #pragma once
 
-#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <mutex>
@@ -20,6 +19,9 @@ struct Worker {
   double* twists;
   std::uint8_t* moving;
 };
+
+/// Return how many bytes a stepper keeps of an element.
+std::size_t kept_bytes(Stepper& stepper);
 
 /// A target among those of a problem: of which task, and where it begins.
 struct TargetPlace {
@@ -43,6 +45,7 @@ class Batch {
  public:
   /// `start` are the targets that elements begin with (size,), of so many tasks.
   Batch(int count, std::vector<Worker> workers, std::vector<double> start, int tasks);
+  ~Batch();
 
   /// Start all elements anew at valid q (n, nq) with v (n, nv), their targets at the start's.
   void reset(const double* q, const double* v);
@@ -56,16 +59,8 @@ class Batch {
 
   /// Take a step of dt seconds from q (n, nq), or from where the last ones led to if q is null.
   ///
-  /// An element whose q is not valid brakes. Return how many are left to Python's engine: their
-  /// flags are −1, and what they keep is as the first thread's stepper has left it, no step taken.
-  int step(const double* q, double dt, const BatchOutput& out);
-
-  /// Have an element in the first worker, all of it where Python looks for it.
-  void lend(int element);
-
-  /// Take back what an element in the first worker has become; return whether a target of its was
-  /// refused since the last step.
-  bool take_back(int element);
+  /// An element whose q is not valid brakes.
+  void step(const double* q, double dt, const BatchOutput& out);
 
   /// Write where the last steps have led to (n, nq).
   void read(double* q);
@@ -96,7 +91,6 @@ class Batch {
   std::vector<std::byte> memory_;               // (n, bytes)
   std::vector<double> targets_, twists_;        // (n, size), (n, tasks, 6)
   std::vector<std::uint8_t> moving_, refused_;  // (n, tasks), (n,)
-  std::atomic<int> left_{0};
   std::mutex mutex_;
   ThreadPool pool_;
 };

@@ -6,7 +6,9 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cstdint>
+#include <iterator>
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -37,9 +39,21 @@ class BoundBatch {
   BoundBatch(int count, const std::vector<std::tuple<nb::object, Writing, Writing, Flags>>& workers,
              std::vector<double> start) {
     if (count < 1 || workers.empty()) throw std::invalid_argument("there is nothing to do");
+    Stepper& first = stepper_of(std::get<0>(workers[0]));
     std::vector<Worker> made;
     const auto tasks = static_cast<int>(std::get<3>(workers[0]).size());
+    const MuJoCo& is = first.mujoco();
+    const auto widest = std::max<std::int64_t>({is.nq, is.nv, std::ssize(start), 6 * tasks, 7});
+    require_countable(count, widest);
     for (const auto& [stepper, targets, twists, moving] : workers) {
+      Stepper& other = stepper_of(stepper);
+      const bool twice = std::any_of(made.begin(), made.end(), [&](const Worker& worker) {
+        return worker.stepper == &other;
+      });
+      if (twice || other.mujoco().nq != is.nq || other.mujoco().nv != is.nv ||
+          kept_bytes(other) != kept_bytes(first)) {
+        throw std::invalid_argument("the workers are not of one problem, each with its own stepper");
+      }
       require(targets, 1, static_cast<int>(start.size()));
       require(twists, tasks, 6);
       require(moving, tasks, 1);
@@ -60,10 +74,8 @@ class BoundBatch {
   void aim(int task, int first, bool pose, const Reading& values,
            const std::optional<Reading>& velocities, Flags accepted) {
     const int size = pose ? 7 : 3;
-    if (task < 0 || task >= batch_->tasks() || first < 0 ||
-        first + size > batch_->target_size()) {
-      throw std::invalid_argument("there is no such target");
-    }
+    require_index(task, batch_->tasks(), "task");
+    require_part(first, size, batch_->target_size(), "target");
     require(values, batch_->count(), size);
     if (velocities) require(*velocities, batch_->count(), pose ? 6 : 3);
     require(accepted, batch_->count(), 1);
@@ -71,14 +83,14 @@ class BoundBatch {
                 accepted.data());
   }
 
-  int step(const std::optional<Reading>& q, double dt, Writing v, Writing following,
+  void step(const std::optional<Reading>& q, double dt, Writing v, Writing following,
            Statuses flags) {
     if (q) require(*q, batch_->count(), batch_->mujoco().nq);
     require(v, batch_->count(), batch_->mujoco().nv);
     require(following, batch_->count(), batch_->mujoco().nq);
     require(flags, batch_->count(), 1);
     const nb::gil_scoped_release released;
-    return batch_->step(q ? q->data() : nullptr, dt, {v.data(), following.data(), flags.data()});
+    batch_->step(q ? q->data() : nullptr, dt, {v.data(), following.data(), flags.data()});
   }
 
   void read(Writing q) {
@@ -86,21 +98,7 @@ class BoundBatch {
     batch_->read(q.data());
   }
 
-  void lend(int element) {
-    require_element(element);
-    batch_->lend(element);
-  }
-
-  bool take_back(int element) {
-    require_element(element);
-    return batch_->take_back(element);
-  }
-
  private:
-  void require_element(int element) const {
-    if (element < 0 || element >= batch_->count()) throw nb::index_error("no such element");
-  }
-
   std::vector<nb::object> kept_;
   std::unique_ptr<Batch> batch_;
 };
@@ -111,19 +109,17 @@ void bind_batch(nb::module_& m) {
   nb::class_<BoundBatch>(m, "Batch", "Many controllers that take turns on a few steppers.")
       .def(nb::init<int, const std::vector<std::tuple<nb::object, Writing, Writing, Flags>>&,
                     std::vector<double>>(),
-           nb::kw_only(), "count"_a, "workers"_a, "start"_a,
+           nb::kw_only(), "count"_a, "workers"_a.noconvert(), "start"_a,
            "Allocate for `count` controllers, and start a thread for each worker but one.\n\n"
            "A worker is a stepper with the targets, twists and moving flags of its engine.")
       .def("reset", &BoundBatch::reset, "q"_a, "v"_a, "Start all anew, their targets as well.")
       .def("aim", &BoundBatch::aim, "task"_a, "first"_a, "pose"_a, "values"_a,
-           "velocities"_a.none(), "accepted"_a,
+           "velocities"_a.none(), "accepted"_a.noconvert(),
            "Set a target of all, and write for each whether it was valid.")
-      .def("step", &BoundBatch::step, "q"_a.none(), "dt"_a, "v"_a, "following"_a, "flags"_a,
-           "Take a step of all on the threads, without the GIL; return how many are left to Python.")
-      .def("read", &BoundBatch::read, "q"_a, "Write where the last steps have led to.")
-      .def("lend", &BoundBatch::lend, "element"_a, "Have an element in the first worker.")
-      .def("take_back", &BoundBatch::take_back, "element"_a,
-           "Take it back; return whether a target of its was refused.");
+      .def("step", &BoundBatch::step, "q"_a.none(), "dt"_a, "v"_a.noconvert(),
+           "following"_a.noconvert(), "flags"_a.noconvert(),
+           "Take a step of all on the threads, without the GIL.")
+      .def("read", &BoundBatch::read, "q"_a.noconvert(), "Write where the last steps have led to.");
 }
 
 }  // namespace rmrc

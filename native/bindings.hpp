@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -23,6 +24,47 @@ template <class Array>
 void require(const Array& array, std::size_t size, const char* what) {
   if (array.size() != size) throw std::invalid_argument(std::string(what) + " has a wrong size");
 }
+
+/// Refuse `size` things from `first` on that are not all among `count`.
+inline void require_part(std::int64_t first, std::int64_t size, std::int64_t count,
+                         const char* what) {
+  if (first < 0 || size < 0 || size > count || first > count - size) {
+    throw std::invalid_argument(std::string("there is no such ") + what);
+  }
+}
+
+/// Refuse an index that is none of `count`.
+inline void require_index(std::int64_t index, std::int64_t count, const char* what) {
+  require_part(index, 1, count, what);
+}
+
+/// Refuse dofs that are not among `nv`, or not in ascending order.
+inline void require_dofs(const std::vector<int>& dofs, int nv) {
+  int last = -1;
+  for (const int dof : dofs) {
+    require_index(dof, nv, "dof");
+    if (dof <= last) throw std::invalid_argument("the dofs are not in ascending order");
+    last = dof;
+  }
+}
+
+/// Refuse a matrix whose elements an int cannot number.
+inline void require_countable(std::int64_t rows, std::int64_t columns) {
+  constexpr std::int64_t most = std::numeric_limits<int>::max();
+  if (rows < 0 || columns < 0 || rows > most || columns > most || rows * columns > most) {
+    throw std::invalid_argument("a size is out of range");
+  }
+}
+
+/// Return a dict of one's own with what a dict holds.
+inline nanobind::dict copied(const nanobind::dict& dict) {
+  return nanobind::steal<nanobind::dict>(PyDict_Copy(dict.ptr()));
+}
+
+/// Return where the struct behind an object of the mujoco package stands.
+///
+/// Raises ValueError if it is none of that type.
+void* address_of(nanobind::handle object, const char* type);
 
 class Engine;
 class ForwardKinematics;
@@ -58,10 +100,17 @@ Stepper& stepper_of(nanobind::handle object);
 /// Return the engine of a Python `Engine`, which lives as long as that.
 Engine& engine_of(nanobind::handle object);
 
+/// Refuse an engine whose levels have room for the rows and equalities that it has, and no more.
+void require_no_levels(const Engine& engine);
+
+/// Return what has to live as long as pointers that were taken from it.
+const std::vector<nanobind::object>& kept_by(nanobind::handle engine);
+
 /// Return the kinematics of a Python `ForwardKinematics`, which live as long as that.
 ForwardKinematics& kinematics_of(nanobind::handle object);
 
-/// Return the rows of a Python `Rows`, and the check of a Python `Shortening`.
+/// Return the rows of a Python `Rows`, to which nothing can be added then, and the check of a
+/// Python `Shortening`.
 Rows& rows_of(nanobind::handle object);
 Shortening& shortening_of(nanobind::handle object);
 

@@ -47,7 +47,6 @@ class BoundStepper {
   Progress& progress() { return stepper_->progress(); }
   nanobind::handle owner() const { return owner_; }
   double dt() const { return dt_; }
-  double budget() const { return budget_; }
 
  private:
   // A target with the feed-forward that moves it.
@@ -61,7 +60,7 @@ class BoundStepper {
 
   nanobind::object engine_, owner_;
   std::vector<nanobind::object> kept_;
-  double dt_, budget_;
+  double dt_;
   std::vector<FedAim> aims_;
   nanobind::dict places_;  // in `aims_` by name
   std::unique_ptr<Stepper> stepper_;

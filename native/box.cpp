@@ -61,6 +61,22 @@ double eased(double room, double v, double a, double jerk, double acceleration, 
 
 }  // namespace
 
+void braking(const std::vector<double>& acceleration, const std::vector<int>& balls,
+             const double* speed, double dt, double* steps, double* change) {
+  for (std::size_t i = 0; i < acceleration.size(); ++i) {
+    change[i] = acceleration[i] * dt;
+    steps[i] = speed[i] / change[i];
+  }
+  for (const int first : balls) {
+    const double longest = *std::max_element(steps + first, steps + first + 3);
+    if (!(longest > 0.0)) continue;
+    for (int i = first; i < first + 3; ++i) {
+      steps[i] = longest;
+      change[i] = speed[i] / longest;
+    }
+  }
+}
+
 Box::Box(JointLimits limits) : limits_(std::move(limits)) {}
 
 bool Box::update(const double* q, const double* v_previous, const double* a_previous, double dt,
@@ -73,7 +89,7 @@ bool Box::update(const double* q, const double* v_previous, const double* a_prev
     const double below = is.lower[i] - at, above = is.upper[i] - at;
     outside |= below > range_rounding || above < -range_rounding;
     double low = below * rate, high = above * rate;
-    const double a = is.acceleration[i], fastest = std::min(is.velocity[i], is.step / dt);
+    const double a = is.acceleration[i], fastest = std::min(is.velocity[i], is.step[i] / dt);
     if (a < infinity) {
       const double back = is.lower[i] > -infinity ? stoppable(-below, a, dt) : infinity;
       const double ahead = is.upper[i] < infinity ? stoppable(above, a, dt) : infinity;

@@ -1,7 +1,6 @@
 // The box of the joint limits: rmrc.problem.limits.box and .jerk, the same roundings included.
 #pragma once
 
-#include <limits>
 #include <vector>
 
 namespace rmrc {
@@ -12,8 +11,14 @@ struct JointLimits {
   std::vector<double> lower, upper;
   double gain;
   std::vector<double> velocity, acceleration, jerk;
-  double step = std::numeric_limits<double>::infinity();  // most that a joint moves in a step
+  std::vector<double> step;  // most that a joint moves in a step
+  std::vector<int> balls;    // the first of the three entries of each ball joint
 };
+
+/// Write the steps of dt that |v| (n,) takes to rest, and by how much it falls in each, as braking
+/// of rmrc.problem.limits.box.
+void braking(const std::vector<double>& acceleration, const std::vector<int>& balls,
+             const double* speed, double dt, double* steps, double* change);
 
 /// Computes lb ≤ v ≤ ub of a step: position, velocity and acceleration clip the ends in this order.
 class Box {

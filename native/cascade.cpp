@@ -14,13 +14,14 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 // rmrc.qp.cascade
 constexpr double rank_share = 1e-9;      // RANK
 constexpr double fastest_weight = 1e-10;  // FASTEST
-constexpr double polished = 1e-10;       // POLISHED
 constexpr double still = 1e-8;           // STILL
 constexpr double exact = 1e-12;          // EXACT
+constexpr double sound = 1e-7;           // SOUND
 
-double largest(const Residuals& kkt) {
-  return std::max({kkt.primal, kkt.dual, kkt.complementarity});
-}
+// ATTEMPTS: what is added to the diagonal, and to the room of the rows.
+constexpr struct { double more, wider; } attempts[] = {
+    {0.0, 0.0},   {1e-9, 0.0}, {1e-7, 0.0}, {0.0, 1e-11},
+    {0.0, 1e-10}, {1e-5, 0.0}, {0.0, 1e-8}, {0.0, 1e-7}};
 
 }  // namespace
 
@@ -29,6 +30,7 @@ Cascade::Cascade(int size, const LevelSizes& sizes, int max_rows, int max_equali
     : size_(size),
       null_space_(std::max({sizes.rows, sizes.directed, max_equalities}), size),
       reduction_(sizes.directed, size, 2),
+      ranked_(std::max({sizes.rows, sizes.directed, max_equalities}), size, 0),
       v_(size),
       z_(size),
       y_(max_rows),
@@ -63,8 +65,8 @@ void Cascade::keep(Memory& memory) {
   for (QPSolver& solver : solvers_) solver.keep(memory);
 }
 
-bool Cascade::solve(const std::vector<Level>& levels, const Program& limits,
-                    QPSolver::Clock::time_point end) {
+Status Cascade::solve(const std::vector<Level>& levels, const Program& limits,
+                      QPSolver::Clock::time_point end) {
   limits_ = &limits;
   end_ = end;
   iterations_ = 0;
@@ -75,47 +77,55 @@ bool Cascade::solve(const std::vector<Level>& levels, const Program& limits,
   std::fill(y_.begin(), y_.end(), 0.0);
   free_count_ = size_;
   whole_ = true;
-  if (!enter()) return false;
+  Status status = enter();
+  if (status != Status::solved) {
+    residuals_ = {infinity, infinity, infinity};
+    return status == Status::time_limit ? status : Status::infeasible;
+  }
+  status = descend(levels);
+  residuals_.primal = std::max(residuals_.primal, passed());
+  return status == Status::solved || status == Status::time_limit ? status : Status::max_iter;
+}
+
+Status Cascade::descend(const std::vector<Level>& levels) {
   QPSolver* solver = solvers_.data() + 1;
   for (const Level& level : levels) {
-    if (free_count_ == 0) break;
-    if (!fastest(level, solver[0])) return false;
-    if (free_count_ == 0) break;
-    if (!nearest(level, solver[1])) return false;
+    for (const bool first : {true, false}) {
+      if (free_count_ == 0) return Status::solved;
+      const Status status = first ? fastest(level, solver[0]) : nearest(level, solver[1]);
+      if (status != Status::solved) return status;
+    }
     solver += 2;
   }
-  residuals_.primal = std::max(residuals_.primal, passed());
-  return std::isfinite(largest(residuals_));
+  return Status::solved;
 }
 
 // Move v to the feasible point nearest to rest, and free what the equalities leave.
-bool Cascade::enter() {
+Status Cascade::enter() {
   const Program& limits = *limits_;
   if (!(passed() <= exact)) {  // nor if that is not a number
     std::fill_n(H_.begin(), size_ * size_, 0.0);
     for (int i = 0; i < size_; ++i) H_[i * size_ + i] = 1.0;
     std::fill_n(g_.begin(), size_, 0.0);
-    Program whole = limits;
-    whole.H = H_.data();
-    whole.g = g_.data();
-    QPSolver& solver = solvers_.front();
-    if (solver.solve(whole, end_) != Status::solved) return false;
-    std::copy_n(solver.v(), size_, v_.begin());
-    residuals_ = certify(size_, whole, solver.bound_multiplier(), solver.row_multiplier(),
-                         solver.equality_multiplier(), v_.data(), residual_.data());
-    if (!(largest(residuals_) <= polished)) return false;
+    std::copy_n(limits.lo, limits.rows, lo_.begin());
+    std::copy_n(limits.hi, limits.rows, hi_.begin());
+    Program nearest_to_rest = limits;
+    nearest_to_rest.H = H_.data();
+    nearest_to_rest.g = g_.data();
+    nearest_to_rest.lo = lo_.data();
+    nearest_to_rest.hi = hi_.data();
+    const Status status = attempt(solvers_.front(), nearest_to_rest, size_, true);
+    if (status != Status::solved) return status;
+    std::copy_n(step_.begin(), size_, v_.begin());
   }
-  if (limits.equalities == 0) return true;
-  for (int r = 0; r < limits.equalities; ++r) {
-    std::copy_n(limits.E + r * size_, size_, null_space_.row(r));
-  }
-  return keep_free(limits.equalities);
+  return limits.equalities == 0 ? Status::solved
+                                : keep_free(limits.E, limits.equalities, size_);
 }
 
 // Maximise α in J (v + N z) = α ẋ, 0 ≤ α ≤ 1, of the part of ẋ that the free motion can give.
-bool Cascade::fastest(const Level& level, QPSolver& solver) {
+Status Cascade::fastest(const Level& level, QPSolver& solver) {
   const int count = free_count_, variables = count + 1;
-  if (level.directed == 0) return true;
+  if (level.directed == 0) return Status::solved;
   for (int r = 0; r < level.directed; ++r) {
     const double* own = level.jacobian + r * size_;
     double* row = reduction_.row(r);
@@ -132,7 +142,7 @@ bool Cascade::fastest(const Level& level, QPSolver& solver) {
     f_[r] = -row[count + 1];
     wanted |= row[count] != 0.0;
   }
-  if (!wanted) return true;
+  if (!wanted) return Status::solved;
   std::fill_n(H_.begin(), variables * variables, 0.0);
   for (int i = 0; i < count; ++i) H_[i * variables + i] = fastest_weight;
   H_[count * variables + count] = 1.0;
@@ -142,15 +152,16 @@ bool Cascade::fastest(const Level& level, QPSolver& solver) {
   bound(variables);
   lb_[count] = 0.0;
   ub_[count] = 1.0;
-  if (!certified(solver, variables, rank)) return false;
+  const Status status = certified(solver, variables, rank);
+  if (status == Status::infeasible) return Status::solved;  // the least squares takes over
+  if (status != Status::solved) return status;
   scale_ = std::min(scale_, step_[count]);
   advance();
-  for (int r = 0; r < rank; ++r) std::copy_n(reduction_.row(r), count, null_space_.row(r));
-  return keep_free(rank);
+  return keep_free(E_.data(), rank, variables);
 }
 
 // Solve a level's least squares, but for rows that nothing free moves.
-bool Cascade::nearest(const Level& level, QPSolver& solver) {
+Status Cascade::nearest(const Level& level, QPSolver& solver) {
   const int count = free_count_;
   double square = 0.0;
   for (int r = 0; r < level.rows; ++r) {
@@ -160,7 +171,7 @@ bool Cascade::nearest(const Level& level, QPSolver& solver) {
     missing_[r] = dot(own, v_.data(), size_) - level.rate[r];
     square += dot(row, row, count);
   }
-  if (level.rows > 0 && square <= rank_share * rank_share) return true;
+  if (level.rows > 0 && square <= rank_share * rank_share) return Status::solved;
   std::fill_n(H_.begin(), count * count, 0.0);
   if (level.metric == nullptr && level.curvature == nullptr) {
     reduce(v_.data(), g_.data());
@@ -182,12 +193,10 @@ bool Cascade::nearest(const Level& level, QPSolver& solver) {
     add_scaled(missing_[r], row, g_.data(), count);
   }
   bound(count);
-  if (!certified(solver, count, 0)) return false;
+  const Status status = certified(solver, count, 0);
+  if (status != Status::solved) return status;
   advance();
-  for (int r = 0; r < level.rows; ++r) {
-    std::copy_n(reach_.data() + r * count, count, null_space_.row(r));
-  }
-  return keep_free(level.rows);
+  return keep_free(reach_.data(), level.rows, count);
 }
 
 // step_ = (A + X) x of a level, or its column if x is null.
@@ -249,20 +258,43 @@ Program Cascade::program(int equalities) const {
           f_.data(), (whole_ ? 0 : size_) + limits_->rows, equalities};
 }
 
-// Solve the program as it is written; return whether the answer is as good as a polished one.
-bool Cascade::certified(QPSolver& solver, int variables, int equalities) {
-  const Program written = program(equalities);
+// Solve a program, whose H, lo and hi are written here, in as many attempts as it takes. What is
+// refusable may have no solution; of any other that is rounding.
+Status Cascade::attempt(QPSolver& solver, const Program& written, int variables, bool refusable) {
+  const double scale = std::max(1.0, std::sqrt(dot(written.g, written.g, variables)));
   solver.resize(variables);
-  const Status status = solver.solve(written, end_);
-  iterations_ += solver.iterations();
-  if (status != Status::solved) return false;
-  std::copy_n(solver.v(), variables, step_.begin());
-  const Residuals kkt =
-      certify(variables, written, solver.bound_multiplier(), solver.row_multiplier(),
-              solver.equality_multiplier(), step_.data(), residual_.data());
-  if (!(largest(kkt) <= polished)) return false;
-  residuals_ = {std::max(residuals_.primal, kkt.primal), std::max(residuals_.dual, kkt.dual),
-                std::max(residuals_.complementarity, kkt.complementarity)};
+  Status status = Status::failed;
+  for (const auto& [more, wider] : attempts) {
+    if (is_over(end_)) return Status::time_limit;
+    for (int i = 0; i < variables; ++i) H_[i * variables + i] += more;
+    for (int r = 0; r < written.rows; ++r) {
+      lo_[r] -= wider;
+      hi_[r] += wider;
+    }
+    status = solver.solve(written, end_);
+    iterations_ += solver.iterations();
+    if (status == Status::time_limit || (status == Status::infeasible && refusable)) return status;
+    if (status != Status::solved) continue;
+    std::copy_n(solver.v(), variables, step_.begin());
+    const Residuals kkt =
+        certify(variables, written, solver.bound_multiplier(), solver.row_multiplier(),
+                solver.equality_multiplier(), step_.data(), residual_.data());
+    if (!(kkt.primal < sound && std::max(kkt.dual, kkt.complementarity) < sound * scale)) {
+      status = Status::max_iter;
+      solver.forget();
+      continue;
+    }
+    residuals_ = {std::max(residuals_.primal, kkt.primal), std::max(residuals_.dual, kkt.dual),
+                  std::max(residuals_.complementarity, kkt.complementarity)};
+    return status;
+  }
+  return status;
+}
+
+// Solve a level's program as it is written, and take over the multipliers.
+Status Cascade::certified(QPSolver& solver, int variables, int equalities) {
+  const Status status = attempt(solver, program(equalities), variables, false);
+  if (status != Status::solved) return status;
   const double* y = solver.row_multiplier();
   if (whole_) {
     for (int i = 0; i < size_; ++i) z_[i] += solver.bound_multiplier()[i];
@@ -272,7 +304,7 @@ bool Cascade::certified(QPSolver& solver, int variables, int equalities) {
   }
   const double* norm = norm_.data() + (whole_ ? 0 : size_);
   for (int r = 0; r < limits_->rows; ++r) y_[r] += y[r] / norm[r];
-  return true;
+  return status;
 }
 
 // Add N z to v.
@@ -289,11 +321,23 @@ void Cascade::advance() {
   }
 }
 
-// Keep free only what the rows given to the null space map to zero.
-bool Cascade::keep_free(int rows) {
+// Keep free only what rows, `stride` from one to the next, map to zero. Where it is not clear what
+// that is, it is where their singular values say so.
+Status Cascade::keep_free(const double* rows, int given, int stride) {
   const int before = free_count_;
-  const int count = null_space_.find(rows, before, rank_share);
-  if (count < 0) return false;
+  for (int r = 0; r < given; ++r) std::copy_n(rows + r * stride, before, null_space_.row(r));
+  int count = null_space_.find(given, before, rank_share);
+  if (count < 0) {
+    for (int r = 0; r < given; ++r) std::copy_n(rows + r * stride, before, ranked_.row(r));
+    const int rank = ranked_.reduce(given, before, rank_share);
+    for (int r = 0; r < rank; ++r) {
+      const double* row = ranked_.row(r);
+      const double length = std::sqrt(dot(row, row, before));
+      for (int i = 0; i < before; ++i) null_space_.row(r)[i] = row[i] / length;
+    }
+    count = null_space_.find(rank, before, rank_share);
+  }
+  if (count < 0) return Status::failed;
   for (int k = 0; k < count; ++k) {
     const double* inside = null_space_.vector(k);
     double* vector = next_.data() + k * size_;
@@ -309,7 +353,7 @@ bool Cascade::keep_free(int rows) {
   std::swap(free_, next_);
   free_count_ = count;
   whole_ = false;
-  return true;
+  return Status::solved;
 }
 
 // out = Nᵀx.

@@ -32,17 +32,19 @@ struct LevelSizes {
 
 /// Solves levels one after another, each in the null space of those above, inside all limits.
 ///
-/// It solves what needs no second attempt: a level's program that is not certified to
-/// rmrc.qp.cascade.POLISHED, or a rank that is not clear, ends the solve. All memory is taken by
-/// the constructor.
+/// All memory is taken by the constructor.
 class Cascade {
  public:
   Cascade(int size, const LevelSizes& sizes, int max_rows, int max_equalities, int max_iterations);
 
-  /// Find the lexicographic optimum inside the limits of a program, whose cost is not read; return
-  /// whether all levels have been solved before the clock says `end`.
-  bool solve(const std::vector<Level>& levels, const Program& limits,
-             QPSolver::Clock::time_point end);
+  /// Find the lexicographic optimum inside the limits of a program, whose cost is not read, before
+  /// the clock says `end`.
+  ///
+  /// `infeasible`: no v was found inside the limits, and the residuals are infinite. `max_iter`: a
+  /// level could not be solved; v is the feasible optimum of those above it. `time_limit`: either
+  /// of the two.
+  Status solve(const std::vector<Level>& levels, const Program& limits,
+               QPSolver::Clock::time_point end);
 
   /// Start the next solve cold.
   void forget();
@@ -64,14 +66,16 @@ class Cascade {
   double scale() const { return scale_; }
 
  private:
-  bool enter();
-  bool fastest(const Level& level, QPSolver& solver);
-  bool nearest(const Level& level, QPSolver& solver);
+  Status enter();
+  Status descend(const std::vector<Level>& levels);
+  Status fastest(const Level& level, QPSolver& solver);
+  Status nearest(const Level& level, QPSolver& solver);
   void weigh(const Level& level, const double* x, int column);
   void bound(int variables);
-  bool certified(QPSolver& solver, int variables, int equalities);
+  Status attempt(QPSolver& solver, const Program& program, int variables, bool refusable);
+  Status certified(QPSolver& solver, int variables, int equalities);
   void advance();
-  bool keep_free(int rows);
+  Status keep_free(const double* rows, int count, int stride);
 
   void reduce(const double* x, double* out) const;
   double passed() const;
@@ -80,7 +84,7 @@ class Cascade {
   int size_;
   std::vector<QPSolver> solvers_;  // to enter, then two of each level: fastest, nearest
   NullSpace null_space_;
-  RowReduction reduction_;
+  RowReduction reduction_, ranked_;
   const Program* limits_ = nullptr;
   QPSolver::Clock::time_point end_;
 

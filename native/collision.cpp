@@ -11,12 +11,9 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.problem.limits.collision: LEAVE, FARTHEST, SPARE, TOUCHING and BLURRED.
+// rmrc.problem.limits.collision: LEAVE and FARTHEST.
 constexpr double leave = 1.2;
-constexpr double farthest = 100.0;
-constexpr double spare = 0.05;
-constexpr double touching = 1e-9;
-constexpr double blurred = 1e-3;
+constexpr double farthest = 1e10;
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
@@ -179,7 +176,7 @@ bool Collision::is_far(const Kinematics& now, int id, double level) {
   } else {
     distance += norm3(apart);
   }
-  if (!(distance > level + spare)) return false;
+  if (!(distance > level + a_.detect)) return false;
   a_.bound[id] = distance;
   return true;
 }
@@ -221,7 +218,7 @@ void Collision::direct(const Kinematics& now, int id) {
   double *kept = a_.normals + 3 * id, normal[3];
   for (int i = 0; i < 3; ++i) normal[i] = segment[3 + i] - segment[i];
   double length = norm3(normal);
-  if (length > touching) {
+  if (length > a_.precision[0]) {
     length = std::copysign(length, a_.distance[id]);
   } else {
     const std::int64_t first = a_.geoms[2 * id], second = a_.geoms[2 * id + 1];
@@ -282,6 +279,7 @@ double Collision::reach(int id, const double* step, double dt) const {
 }
 
 PairPlane Collision::plane(const Kinematics& now, int id) const {
+  const double blurred = a_.precision[1];
   const double known = a_.distance[id] > blurred ? a_.distance[id] - blurred - a_.d_min : -infinity;
   const std::int64_t base = a_.base[id], other = a_.other[id];
   PairPlane plane{known, known, {}, {}};

@@ -23,6 +23,7 @@ struct PairArrays {
   const double* reach;                              // twice how far a body's geoms reach (bodies,)
   const std::int64_t *base, *other;                 // of the planes between the geoms
   const double *spread, *width, *sign, *carries, *moves;  // carries and moves (p, nv)
+  const double* precision;  // the distance that gives no direction, and what blurs a plane (2,)
   const double* twist;                              // of the mocap bodies (mocaps, 6)
   // What a step leaves to the next.
   double *bound, *threshold, *distance, *segments, *normals;

@@ -7,36 +7,37 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.correct: ENOUGH and SPARE; and rmrc.qp.rows.FASTEST.
+// rmrc.control.correct: ENOUGH, SPARE and INSIDE; and rmrc.qp.rows.FASTEST.
 constexpr double enough = 1.1;
-constexpr double spare = 1e-7;
+constexpr double spare = 0.1;
+constexpr double inside = 1e-7;
 constexpr double fastest_rate = 1e6;
 
 }  // namespace
 
-Correction::Correction(const Rows& rows) : rows_(rows), lower_(rows.capacity()) {}
-
-bool Correction::raise_rows(const Kinematics& end, const double* lb, const double* ub, double dt) {
-  std::copy_n(rows_.arrays().lower, rows_.count(), lower_.begin());
+bool Correction::raise_rows(const Kinematics& end, const double* lb, const double* ub, double dt,
+                            double* lower) const {
   bool fell_short = false;
   for (const Block& block : rows_.blocks()) {
-    if (!raise_block(block, end, dt)) continue;
+    if (!raise_block(block, end, dt, lower)) continue;
     fell_short = true;
     for (int row = block.first; row < block.first + block.count; ++row) {
       const double most = fastest(row, lb, ub);
-      lower_[row] = std::min(lower_[row], most - spare * std::abs(most));
+      lower[row] = std::min(lower[row], most - inside * std::abs(most));
     }
   }
   return fell_short;
 }
 
-bool Correction::raise_block(const Block& block, const Kinematics& end, double dt) {
+bool Correction::raise_block(const Block& block, const Kinematics& end, double dt,
+                             double* lower) const {
+  const double aside = spare * rows_.resolution();
   bool fell_short = false;
   for (int row = block.first; row < block.first + block.count; ++row) {
     const double after = block.barrier->distance(end, static_cast<int>(rows_.arrays().ids[row]));
-    const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + spare - after;
-    if (!(shortfall > spare)) continue;
-    lower_[row] += enough / dt * shortfall;
+    const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + aside - after;
+    if (!(shortfall > aside)) continue;
+    lower[row] += enough / dt * shortfall;
     fell_short = true;
   }
   return fell_short;

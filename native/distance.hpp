@@ -8,7 +8,7 @@ namespace rmrc {
 /// A pair of geoms, ordered by type.
 struct GeomPair {
   int first, second;
-  bool doubtful;  // a capsule and a box
+  bool ours;      // a capsule and a box: MuJoCo's distance of them is not always right
   double box[3];  // half the box's sides
   double radius, half;  // the capsule's
 };

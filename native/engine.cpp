@@ -65,7 +65,12 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       gradient_(mujoco.nv),
       curvature_(constants_.dofs.size()),
       v_previous_(constants_.dofs.size()),
-      a_previous_(constants_.dofs.size()) {}
+      a_previous_(constants_.dofs.size()),
+      speed_(constants_.dofs.size()),
+      steps_(constants_.dofs.size()),
+      change_(constants_.dofs.size()) {
+  brake_.resize(v_.size());
+}
 
 void Engine::add(std::unique_ptr<ForeignRows> term) {
   foreign_.push_back(term.get());
@@ -80,14 +85,14 @@ void Engine::limit(Rows& limits, Shortening* shortening) {
   limits_ = &limits;
   shortening_ = shortening;
   correction_.emplace(limits);
-  for (auto* values : {&whole_, &brake_, &shortened_, &first_z_}) values->resize(v_.size());
-  first_y_.resize(limits.capacity());
+  for (auto* values : {&whole_, &shortened_, &first_z_}) values->resize(v_.size());
+  for (auto* values : {&first_y_, &lower_, &upper_}) values->resize(limits.capacity());
   renew_solver();
 }
 
 void Engine::hold(std::unique_ptr<Equalities> equalities) {
   equalities_ = std::move(equalities);
-  first_w_.resize(equalities_->capacity());
+  for (auto* values : {&first_w_, &right_}) values->resize(equalities_->capacity());
   renew_solver();
 }
 
@@ -102,8 +107,10 @@ void Engine::descend(std::vector<LevelTasks> levels, LastMetric metric) {
 bool Engine::scaled() const { return cascade_ != nullptr && cascade_->scale() < 1.0 - whole; }
 
 void Engine::renew_solver() {
-  solver_ = QPSolver(size(), limits_ == nullptr ? 0 : limits_->capacity(),
-                     equalities_ == nullptr ? 0 : equalities_->capacity(), max_iterations_);
+  const int rows = limits_ == nullptr ? 0 : limits_->capacity();
+  const int equalities = equalities_ == nullptr ? 0 : equalities_->capacity();
+  solver_ = QPSolver(size(), rows, equalities, max_iterations_);
+  least_.emplace(size(), rows, equalities);
 }
 
 void Engine::forget() {
@@ -132,11 +139,7 @@ bool Engine::damped() const {
 }
 
 Ending Engine::solve(const double* q, double dt, double seconds) {
-  limited_ = seconds < infinity;
-  if (limited_) {
-    end_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(
-                              std::chrono::duration<double>(std::max(seconds, 0.0)));
-  }
+  end_ = end_after(seconds);
   if (q != nullptr) {
     place(q);
     evaluate_terms();
@@ -146,27 +149,9 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
   const bool warm = warm_ && cascade_ == nullptr;
   Ending ending = best();
-  if (warm && !trusted(ending) && in_time()) {
-    forget();
-    ending = attempt();
-  }
-  const bool limited = limits_ != nullptr && limits_->count() > 0;
-  const bool box_alone = !limited && cascade_ == nullptr &&
-                         (equalities_ == nullptr || equalities_->count() == 0);
-  finished_ = box_alone || trusted(ending);
-  if (finished_ && limited && shortening_ != nullptr) finished_ = at_distance(dt);
-  if (!finished_ && q != nullptr) place_all(q);  // Python goes on, and may look at anything
-  if (!box_alone || trusted(ending)) return ending;
-  const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
-  if (stopped && residuals_.primal <= certified) return ending;
-  brake(v_.data());
-  return ending == Ending::solved ? Ending::failed : ending;
-}
-
-std::optional<Ending> Engine::resume(const double* q, double dt) {
-  bool same = dt == dt_ && std::equal(q, q + mujoco_.nq, mujoco_.qpos);
-  for (int i = 0; i < size(); ++i) same &= v_previous_[i] == stack_.v_previous[constants_.dofs[i]];
-  return same ? std::exchange(suspended_, std::nullopt) : std::nullopt;
+  if (!trusted(ending)) ending = descend_ladder(ending, warm);
+  if (shortening_ != nullptr && limits_->count() > 0) at_distance(dt);
+  return ending;
 }
 
 void Engine::evaluate(const double* q) {
@@ -193,8 +178,7 @@ void Engine::evaluate_terms() {
 
 bool Engine::assemble(double dt) {
   dt_ = dt;
-  suspended_.reset();
-  corrected_ = relaxed_ = false;
+  moved_ = boxed_ = relaxed_ = false;
   share_ = 1.0;
   for (ForeignRows* term : foreign_) term->read();
   rates(dt);
@@ -330,21 +314,38 @@ void Engine::add_inertia() {
 Program Engine::program() const {
   Program program{program_.H, program_.g, program_.lb, program_.ub, nullptr, nullptr,
                   nullptr,    nullptr,    nullptr,     0,           0};
+  if (boxed_) return program;
   if (limits_ != nullptr) {
     const RowArrays& rows = limits_->arrays();
     program.C = rows.matrix;
-    program.lo = corrected_ ? correction_->lower() : rows.lower;
-    program.hi = rows.upper;
+    program.lo = moved_ ? lower_.data() : rows.lower;
+    program.hi = moved_ ? upper_.data() : rows.upper;
     program.rows = limits_->count();
     program.keys = limits_->keys();
   }
   if (equalities_ != nullptr) {
     const EqualityArrays& held = equalities_->arrays();
     program.E = held.matrix;
-    program.f = held.right;
+    program.f = moved_ ? right_.data() : held.right;
     program.equalities = equalities_->count();
   }
   return program;
+}
+
+int Engine::row_count() const { return limits_ == nullptr ? 0 : limits_->count(); }
+
+int Engine::equality_count() const { return equalities_ == nullptr ? 0 : equalities_->count(); }
+
+// Have limits of the program's own, to be moved.
+void Engine::move_limits() {
+  if (std::exchange(moved_, true)) return;
+  if (limits_ != nullptr) {
+    std::copy_n(limits_->arrays().lower, limits_->count(), lower_.begin());
+    std::copy_n(limits_->arrays().upper, limits_->count(), upper_.begin());
+  }
+  if (equalities_ != nullptr) {
+    std::copy_n(equalities_->arrays().right, equalities_->count(), right_.begin());
+  }
 }
 
 Ending Engine::best() { return cascade_ == nullptr ? attempt() : solve_levels(); }
@@ -356,12 +357,7 @@ Ending Engine::solve_levels() {
   const std::vector<Level>& levels = levels_->gather(rows_, stack_, program_.rate,
                                                      program_.inertia, constants_.unit * square,
                                                      dt_, constants_.least_curvature);
-  const bool solved =
-      in_time() && cascade_->solve(levels, limits, limited_ ? end_ : Clock::time_point::max());
-  if (!solved) {
-    residuals_ = {infinity, infinity, infinity};
-    return in_time() ? Ending::failed : Ending::time_limit;
-  }
+  const Ending ending = ending_of(cascade_->solve(levels, limits, end_));
   iterations_ = cascade_->iterations();
   residuals_ = cascade_->residuals();
   std::copy_n(cascade_->v(), size(), v_.begin());
@@ -372,7 +368,7 @@ Ending Engine::solve_levels() {
   if (equalities_ != nullptr) {
     std::fill_n(equalities_->arrays().multiplier, limits.equalities, 0.0);
   }
-  return Ending::solved;
+  return ending;
 }
 
 // Solve the program as it stands, and certify the answer.
@@ -385,7 +381,7 @@ Ending Engine::attempt() {
   double* y = limits_ == nullptr ? nullptr : limits_->arrays().multiplier;
   double* w = equalities_ == nullptr ? nullptr : equalities_->arrays().multiplier;
   if (in_time()) {
-    ending = ending_of(limited_ ? solver_.solve(program, end_) : solver_.solve(program));
+    ending = ending_of(solver_.solve(program, end_));
     iterations_ = solver_.iterations();
     gradient = solver_.gradient();
     std::copy_n(solver_.v(), n, v_.begin());
@@ -412,10 +408,22 @@ bool Engine::trusted(Ending ending) const {
 }
 
 // Write the point of the box nearest to rest (n,).
-void Engine::brake(double* v) const {
+// Write the point of the box nearest to rest; a ball joint goes on about its axis.
+void Engine::brake(double* v) {
+  const JointLimits& limits = box_.limits();
+  std::fill_n(v, size(), 0.0);
+  if (!limits.balls.empty()) {
+    for (int i = 0; i < size(); ++i) speed_[i] = std::abs(v_previous_[i]);
+    braking(limits.acceleration, limits.balls, speed_.data(), dt_, steps_.data(), change_.data());
+    for (const int first : limits.balls) {
+      for (int i = first; i < first + 3; ++i) {
+        if (steps_[i] > 1.0) v[i] = v_previous_[i] - v_previous_[i] / steps_[i];
+      }
+    }
+  }
   bool finite = true;
   for (int i = 0; i < size(); ++i) {
-    v[i] = std::min(std::max(0.0, program_.lb[i]), program_.ub[i]);
+    v[i] = std::min(std::max(v[i], program_.lb[i]), program_.ub[i]);
     finite &= std::isfinite(v[i]);
   }
   if (!finite) std::fill_n(v, size(), 0.0);

@@ -14,6 +14,7 @@
 #include "damping.hpp"
 #include "equalities.hpp"
 #include "kinematics.hpp"
+#include "least_violation.hpp"
 #include "levels.hpp"
 #include "memory.hpp"
 #include "mujoco.hpp"
@@ -126,30 +127,28 @@ class Engine {
   /// Whether the levels are solved one after another.
   bool cascaded() const { return cascade_ != nullptr; }
 
-  /// Whether the last solution is all that there is to it: with rows what was not certified, and a
-  /// command that takes too long to rest, are left to rmrc.control.engine.PythonEngine.
-  bool finished() const { return finished_; }
-
-  /// Keep the last step, which is not finished, for who takes it up: how it has ended until now.
-  void suspend(Ending ending) { suspended_ = ending; }
-
-  /// Forget the step that was suspended, if there is one.
-  void drop() { suspended_.reset(); }
-
-  /// Return how a step that was suspended has ended, once, if it is this one.
-  std::optional<Ending> resume(const double* q, double dt);
-
   /// What the check where it leads has left of the last command, from the brake on.
   double share() const { return share_; }
 
-  /// Whether equalities contradict one another, and what is solved is a compromise; or a distance
+  /// Whether rows or equalities could not hold, and what is solved is a compromise; or a distance
   /// falls below its limit even so, or a shortened command misses what is no distance.
   bool relaxed() const {
     return relaxed_ || (equalities_ != nullptr && equalities_->inconsistent());
   }
 
-  /// The lo that the last step was solved again with; null if it was not.
-  const double* raised_lower() const { return corrected_ ? correction_->lower() : nullptr; }
+  /// Whether the last step's program had other limits than rows and equalities ask for, raised or
+  /// relaxed: `lower`, `upper` and `right`.
+  bool moved() const { return moved_; }
+  const double* lower() const { return lower_.data(); }
+  const double* upper() const { return upper_.data(); }
+  const double* right() const { return right_.data(); }
+
+  /// Whether rows and equalities were left out in the end.
+  bool boxed() const { return boxed_; }
+
+  /// How many rows and equalities the last step had.
+  int row_count() const;
+  int equality_count() const;
 
   /// The rows of the last step; null if the problem has none.
   const Rows* limits() const { return limits_; }
@@ -161,11 +160,9 @@ class Engine {
   bool damped() const;
 
   /// Whether the present step's time is not over.
-  bool in_time() const { return !limited_ || Clock::now() < end_; }
+  bool in_time() const { return !is_over(end_); }
 
  private:
-  using Clock = std::chrono::steady_clock;
-
   void place(const double* q);
   void place_all(const double* q);
   void evaluate_terms();
@@ -182,10 +179,19 @@ class Engine {
   Ending solve_levels();
   bool trusted(Ending ending) const;
   void renew_solver();
-  void brake(double* v) const;
-  bool at_distance(double dt);
-  bool keep_distances(double dt);
+  void brake(double* v);
+
+  Ending descend_ladder(Ending ending, bool warm);
+  bool feasible(Ending ending) const;
+  bool relax();
+  Ending within_relaxed();
+  Ending without_rows();
+  Ending stop(Ending ending);
+
+  void at_distance(double dt);
+  void keep_distances(double dt);
   bool misses() const;
+  void move_limits();
 
   // What becomes of a program that is solved, but for the vectors.
   struct Outcome {
@@ -209,8 +215,10 @@ class Engine {
   Shortening* shortening_ = nullptr;
   ForwardKinematics* kinematics_ = nullptr;
   std::optional<Correction> correction_;
-  bool corrected_ = false, relaxed_ = false;
+  std::optional<LeastViolation> least_;
+  bool moved_ = false, boxed_ = false, relaxed_ = false;
   double share_ = 1.0;
+  std::vector<double> lower_, upper_, right_;  // what limits were moved to
   std::vector<double> whole_, brake_, shortened_, first_z_, first_y_, first_w_;
   std::unique_ptr<Equalities> equalities_;
   std::unique_ptr<Levels> levels_;
@@ -218,12 +226,8 @@ class Engine {
   int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;
-  bool finished_ = true;
-  std::optional<Ending> suspended_;  // of a step that others will take up
+  QPSolver::Clock::time_point end_;
   double dt_ = 0.0;
-
-  bool limited_ = false;  // whether there is a deadline
-  Clock::time_point end_;
   bool outside_ = false;
   int iterations_ = 0;
   Residuals residuals_{};
@@ -232,6 +236,7 @@ class Engine {
   std::vector<double> curvature_;  // X of one program (n,)
   std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
+  std::vector<double> speed_, steps_, change_;   // of a brake (n,)
 };
 
 }  // namespace rmrc

@@ -17,15 +17,15 @@ constexpr double gained = 1e-3;
 
 }  // namespace
 
-// Return whether the command keeps distances, once it is corrected or shortened; false, and it is
-// as it was, where that is left to others.
-bool Engine::at_distance(double dt) {
+// Have the command keep distances: corrected, or shortened.
+void Engine::at_distance(double dt) {
   whole_ = v_;
-  if (!keep_distances(dt)) return false;
-  if (share_ == 1.0 || !in_time()) return true;
-  const Kinematics& end = shortening_->end(whole_.data(), dt);
-  if (!correction_->raise_rows(end, program_.lb, program_.ub, dt)) return true;
-  corrected_ = true;
+  const bool relaxed = relaxed_;
+  keep_distances(dt);
+  if (share_ == 1.0 || boxed_ || !in_time()) return;
+  const Kinematics& led_to = shortening_->end(whole_.data(), dt);
+  move_limits();
+  if (!correction_->raise_rows(led_to, program_.lb, program_.ub, dt, lower_.data())) return;
   const Outcome first{residuals_, iterations_, share_, relaxed_};
   double* y = limits_->arrays().multiplier;
   shortened_ = v_;
@@ -34,8 +34,11 @@ bool Engine::at_distance(double dt) {
   if (equalities_ != nullptr) {
     std::copy_n(equalities_->arrays().multiplier, equalities_->count(), first_w_.begin());
   }
-  relaxed_ = false;
-  if (trusted(best()) && keep_distances(dt) && share_ > first.share + gained) return true;
+  relaxed_ = relaxed;
+  if (trusted(best())) {
+    keep_distances(dt);
+    if (share_ > first.share + gained) return;
+  }
   v_ = shortened_;
   z_ = first_z_;
   std::copy_n(first_y_.begin(), limits_->count(), y);
@@ -46,32 +49,26 @@ bool Engine::at_distance(double dt) {
   iterations_ = first.iterations;
   share_ = first.share;
   relaxed_ = first.relaxed;
-  return true;
 }
 
-// Shorten v towards the brake where a distance would be passed at the end of the step; false, and
-// v is as it was, where that is left to others.
-bool Engine::keep_distances(double dt) {
+// Shorten v towards the brake where a distance would be passed at the end of the step.
+void Engine::keep_distances(double dt) {
   brake(brake_.data());
-  const Share found = shortening_->share(v_.data(), brake_.data(), dt);
-  if (!found.known) return false;
+  const Share found = shortening_->share(v_.data(), brake_.data(), dt, end_);
   share_ = found.share;
   relaxed_ |= found.passed;
-  if (share_ == 1.0) return true;
+  if (share_ == 1.0) return;
   for (int i = 0; i < size(); ++i) v_[i] = brake_[i] + share_ * (v_[i] - brake_[i]);
-  relaxed_ |= misses();
-  return true;
+  relaxed_ |= !boxed_ && misses();
 }
 
 // Whether a shortened command misses equalities, or is faster than a frame may be: of a speed its
 // norm counts, not the box inside it that the rows are.
 bool Engine::misses() const {
-  if (equalities_ != nullptr) {
-    const EqualityArrays& held = equalities_->arrays();
-    for (int r = 0; r < equalities_->count(); ++r) {
-      const double* row = held.matrix + static_cast<long>(r) * size();
-      if (std::abs(dot(row, v_.data(), size()) - held.right[r]) > certified) return true;
-    }
+  const Program limits = program();
+  for (int r = 0; r < limits.equalities; ++r) {
+    const double* row = limits.E + static_cast<long>(r) * size();
+    if (std::abs(dot(row, v_.data(), size()) - limits.f[r]) > certified) return true;
   }
   const RowArrays& rows = limits_->arrays();
   double worst = 0.0;

@@ -73,6 +73,9 @@ class ForwardKinematics {
   /// Go to a configuration (nq,), which may be where it is.
   void update(const double* q);
 
+  /// nq.
+  int coordinates() const { return nq_; }
+
  private:
   void place(const Body& body);
   void hang(const Body& body, double* position, double* quaternion) const;

@@ -25,8 +25,6 @@ namespace rmrc {
 
 namespace {
 
-using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Reading = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Vector = std::array<double, 3>;
 using Quaternion = std::array<double, 4>;
 using JointArgument = std::tuple<int, int, int, Vector, Vector, double>;
@@ -63,6 +61,7 @@ class PoseFields {
  private:
   double* get(const char* name, int width, int& count) {
     const auto array = nb::cast<Writing>(fields_[name], false);
+    require_countable(static_cast<std::int64_t>(array.size()), 1);
     const int found = static_cast<int>(array.size()) / width;
     if (count >= 0 && count != found) {
       throw std::invalid_argument(std::string(name) + " has a wrong size");
@@ -121,18 +120,18 @@ std::vector<Attached> made(const std::vector<AttachedArgument>& arguments, int c
 
 class BoundForwardKinematics {
  public:
-  BoundForwardKinematics(nb::dict arrays, const std::vector<BodyArgument>& bodies,
+  BoundForwardKinematics(const nb::dict& arrays, const std::vector<BodyArgument>& bodies,
                          const std::vector<AttachedArgument>& geoms,
                          const std::vector<AttachedArgument>& sites,
                          const std::vector<MassArgument>& masses)
-      : kept_(std::move(arrays)) {
+      : kept_(copied(arrays)) {
     const PoseFields fields(kept_);
     Placed placed;
     for (const BodyArgument& body : bodies) placed.bodies.push_back(made(body, fields));
     placed.geoms = made(geoms, fields.geoms, fields.bodies);
     placed.sites = made(sites, fields.sites, fields.bodies);
     for (const auto& [id, parent, mass, of_subtree, shifted, centre] : masses) {
-      require(within(id, fields.bodies) && parent < fields.bodies, "body");
+      require(within(id, fields.bodies) && parent < id, "body");
       placed.masses.push_back(
           {id, parent, mass, of_subtree, shifted, {centre[0], centre[1], centre[2]}});
     }
@@ -141,9 +140,7 @@ class BoundForwardKinematics {
   }
 
   void update(const Reading& q) {
-    if (q.size() != static_cast<std::size_t>(size_)) {
-      throw std::invalid_argument("q has a wrong size");
-    }
+    rmrc::require(q, static_cast<std::size_t>(size_), "q");
     native_->update(q.data());
   }
 
@@ -163,7 +160,7 @@ ForwardKinematics& kinematics_of(nb::handle object) {
 
 void bind_kinematics(nb::module_& m) {
   nb::class_<BoundForwardKinematics>(m, "ForwardKinematics", "Places what a step looks at.")
-      .def(nb::init<nb::dict, const std::vector<BodyArgument>&,
+      .def(nb::init<const nb::dict&, const std::vector<BodyArgument>&,
                     const std::vector<AttachedArgument>&, const std::vector<AttachedArgument>&,
                     const std::vector<MassArgument>&>(),
            nb::kw_only(), "arrays"_a, "bodies"_a, "geoms"_a, "sites"_a, "masses"_a)

@@ -21,33 +21,35 @@ namespace rmrc {
 
 namespace {
 
-using Writing = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-using Numbers = std::vector<double>;
-
 // The place and length of a task, its directions, whether J is the identity, and its axis.
 using HardArgument = std::tuple<int, int, Numbers, bool, Numbers>;
 
 void hold(nb::handle engine, const std::vector<HardArgument>& tasks, const std::vector<bool>& still,
           const Writing& matrix, const Writing& right, const Writing& multiplier) {
   Engine& native = engine_of(engine);
+  require_no_levels(native);
   const auto n = static_cast<std::size_t>(native.size());
+  const int nv = native.mujoco().nv;
   std::vector<HardTerm> terms;
+  std::size_t all = 0;
   for (const auto& [first, rows, directions, joint, axis] : tasks) {
-    if (rows <= 0 || directions.size() % rows != 0 || (!axis.empty() && axis.size() != 3)) {
+    require_part(first, rows, joint ? native.stack().errors : native.stack().rows, "row");
+    if (rows == 0 || directions.size() % rows != 0 || (joint && rows != nv) ||
+        (!axis.empty() && (axis.size() != 3 || rows < 3))) {
       throw std::invalid_argument("a hard task has a wrong size");
     }
+    all += directions.size() / rows;
     terms.push_back({first, rows, directions, joint, axis});
   }
-  auto equalities = std::make_unique<Equalities>(
-      native.stack(), native.rate(), native.mujoco().nv, native.dofs(),
-      std::vector<char>(still.begin(), still.end()), std::move(terms),
-      EqualityArrays{matrix.data(), right.data(), multiplier.data()});
-  const auto capacity = static_cast<std::size_t>(equalities->capacity());
-  if (still.size() != n || matrix.size() != capacity * n || right.size() != capacity ||
-      multiplier.size() != capacity) {
+  require_countable(static_cast<std::int64_t>(all), native.mujoco().nv);
+  if (still.size() != n || matrix.size() != all * n || right.size() != all ||
+      multiplier.size() != all) {
     throw std::invalid_argument("the equalities have a wrong size");
   }
-  native.hold(std::move(equalities));
+  native.hold(std::make_unique<Equalities>(
+      native.stack(), native.rate(), native.mujoco().nv, native.dofs(),
+      std::vector<char>(still.begin(), still.end()), std::move(terms),
+      EqualityArrays{matrix.data(), right.data(), multiplier.data()}));
 }
 
 // Of each level: the place of each term with rows and those that keep their direction; the place and
@@ -77,6 +79,7 @@ void descend(nb::handle engine, const std::vector<LevelArgument>& levels, Number
       level.parts.push_back({term, directed});
     }
     for (const auto& [first, root] : joints) {
+      require_part(first, static_cast<std::int64_t>(nv), native.stack().errors, "row");
       if (root.size() % nv != 0) throw std::invalid_argument("a root has a wrong size");
       level.joints.push_back({first, root});
     }
@@ -87,7 +90,8 @@ void descend(nb::handle engine, const std::vector<LevelArgument>& levels, Number
 }  // namespace
 
 void bind_levels(nb::module_& m) {
-  m.def("hold", &hold, "engine"_a, "tasks"_a, "still"_a, "matrix"_a, "right"_a, "multiplier"_a,
+  m.def("hold", &hold, "engine"_a, "tasks"_a, "still"_a, "matrix"_a.noconvert(),
+        "right"_a.noconvert(), "multiplier"_a.noconvert(),
         nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>(),
         "Have hard tasks in the program of an engine, whose E, f and w stand in these arrays.");
   m.def("equalities", [](nb::handle engine) {

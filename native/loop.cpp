@@ -1,6 +1,7 @@
 #include "loop.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "kernels.hpp"
@@ -51,11 +52,17 @@ double value_of(const Combination& combination, const double* q) {
 }  // namespace
 
 Loop::Loop(TermData data, std::vector<double> root, std::vector<BodyPair> pairs,
-           std::vector<Polynomial> polynomials, const MuJoCo& mujoco, const Stack& stack)
+           std::vector<Polynomial> polynomials, std::vector<double> scale,
+           std::vector<char> angular, const MuJoCo& mujoco, const Stack& stack)
     : RowTerm(std::move(data), std::move(root), dofs_of(pairs, polynomials), mujoco, stack),
       pairs_(std::move(pairs)),
       polynomials_(std::move(polynomials)),
+      scale_(std::move(scale)),
+      angular_(std::move(angular)),
       column_(mujoco.nv) {
+  for (const BodyPair& pair : pairs_) {
+    for (const Anchorage& end : pair.ends) stand_on(end.frame);
+  }
   for (std::size_t k = 0; k < dofs_.size(); ++k) column_[dofs_[k]] = static_cast<int>(k);
   for (const BodyPair& pair : pairs_) {
     for (const int dof : dofs_) {
@@ -64,6 +71,15 @@ Loop::Loop(TermData data, std::vector<double> root, std::vector<BodyPair> pairs,
       carries_.push_back(static_cast<char>((first ? 1 : 0) + (second ? 2 : 0)));
     }
   }
+}
+
+void Loop::measure(double* measures) const {
+  double squares[2] = {0.0, 0.0};
+  for (int r = 0; r < data_.rows; ++r) {
+    const double value = scale_[r] * error()[r];
+    squares[angular_[r]] += value * value;
+  }
+  for (int k = 0; k < 2; ++k) measures[k] = std::sqrt(squares[k]);
 }
 
 void Loop::differentiate() {
@@ -92,6 +108,13 @@ void Loop::differentiate(const BodyPair& pair, const char* carries) {
     for (int k = 0; k < 2; ++k) product(pair.ends[k].quaternion, pair.ends[k].turn, turned[k]);
     conjugate_multiply(turned[1], turned[0], gap);
   }
+  // The rate of q₂* q₁ is ½ q₂* (ω₁ − ω₂) q₁, for angular velocities in the form [0; ω].
+  const auto rate_of_turn = [&](const double* angular, double* out) {
+    double half[4], rate[4];
+    conjugate_multiply(turned[1], angular, half);
+    product(half, turned[0], rate);
+    for (int i = 0; i < 3; ++i) out[i] = 0.5 * pair.torque_scale * rate[1 + i];
+  };
   bool moved = false;
   for (std::size_t column = 0; column < dofs_.size(); ++column) {
     if (carries[column] == 0) continue;
@@ -110,13 +133,23 @@ void Loop::differentiate(const BodyPair& pair, const char* carries) {
     }
     for (int i = 0; i < 3; ++i) rows[i * stride_ + column] = linear[i];
     if (!pair.welded) continue;
-    // The rate of q₂* q₁ is ½ q₂* (ω₁ − ω₂) q₁.
-    double half[4], rate[4];
-    conjugate_multiply(turned[1], angular, half);
-    product(half, turned[0], rate);
-    for (int i = 0; i < 3; ++i) {
-      rows[(3 + i) * stride_ + column] = 0.5 * pair.torque_scale * rate[1 + i];
-    }
+    double rate[3];
+    rate_of_turn(angular, rate);
+    for (int i = 0; i < 3; ++i) rows[(3 + i) * stride_ + column] = rate[i];
+  }
+  for (int k = 0; k < 2; ++k) {
+    const Frame& frame = pair.ends[k].frame;
+    if (frame.carrier == nullptr || !moved) continue;
+    const double sign = k == 0 ? 1.0 : -1.0;
+    double* drift = drift_.data() + pair.first;
+    double velocity[3];
+    velocity_at(frame.carrier, frame.reference, place[k], velocity);
+    for (int i = 0; i < 3; ++i) drift[i] += sign * velocity[i];
+    if (!pair.welded) continue;
+    double angular[4] = {}, rate[3];
+    std::copy_n(frame.carrier + 3, 3, angular + 1);
+    rate_of_turn(angular, rate);
+    for (int i = 0; i < 3; ++i) drift[3 + i] += sign * rate[i];
   }
   for (int i = 0; i < 3; ++i) e[i] = moved ? place[1][i] - place[0][i] : 0.0;
   if (!pair.welded) return;

@@ -46,8 +46,11 @@ struct Polynomial {
 /// As MuJoCo leaves out a constraint that no joint moves, its rows are zero.
 class Loop final : public RowTerm {
  public:
+  /// `scale` (rows,) turns the residuals into m or rad, of those that are `angular` (rows,).
   Loop(TermData data, std::vector<double> root, std::vector<BodyPair> pairs,
-       std::vector<Polynomial> polynomials, const MuJoCo& mujoco, const Stack& stack);
+       std::vector<Polynomial> polynomials, std::vector<double> scale, std::vector<char> angular,
+       const MuJoCo& mujoco, const Stack& stack);
+  void measure(double* measures) const override;
 
  private:
   void differentiate() override;
@@ -56,6 +59,8 @@ class Loop final : public RowTerm {
 
   std::vector<BodyPair> pairs_;
   std::vector<Polynomial> polynomials_;
+  std::vector<double> scale_;
+  std::vector<char> angular_;
   // Of each pair, of each column: whether the dof carries the first end (1), the second (2).
   std::vector<char> carries_;
   std::vector<int> column_;  // of each dof among the term's (nv,)

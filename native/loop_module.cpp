@@ -5,7 +5,6 @@
 #include <structmember.h>
 
 #include <cstddef>
-#include <limits>
 
 #include "bindings.hpp"
 #include "bound_stepper.hpp"
@@ -21,12 +20,11 @@ namespace {
 constexpr unsigned invalid_input = 1u << 10;
 constexpr unsigned failed = (1u << 7) | (1u << 8) | (1u << 9) | invalid_input;
 
-// Interned names, and a clock, of this process.
+// Interned names of this process.
 struct Names {
-  PyObject *quick, *refused, *failures, *deadline;
+  PyObject *quick, *refused, *failures;
   PyObject* step[4];    // the arguments of `Controller.step`
   PyObject* target[6];  // the arguments of `Controller.set_target`
-  PyObject* clock;      // time.perf_counter
   PyTypeObject* stepper;
 };
 Names names{};
@@ -97,16 +95,6 @@ PyObject* set_target(PyObject* self, PyObject* const* arguments, std::size_t fla
   return Py_NewRef(Py_True);
 }
 
-// Have Python's part of the step, if there is one, end when it must; false with an error set.
-bool set_deadline(const BoundStepper& quick) {
-  if (!(quick.budget() < std::numeric_limits<double>::infinity())) return true;
-  const nb::object now = nb::steal(PyObject_CallNoArgs(names.clock));
-  if (!now.is_valid()) return false;
-  const nb::object end =
-      nb::steal(PyFloat_FromDouble(PyFloat_AsDouble(now.ptr()) + quick.budget()));
-  return end.is_valid() && PyObject_SetAttr(quick.owner().ptr(), names.deadline, end.ptr()) == 0;
-}
-
 // Take note of how a step has ended, and of a target that was refused before it.
 bool note(PyObject* controller, Summary& summary) {
   const nb::object refused = nb::steal(PyObject_GetAttr(controller, names.refused));
@@ -117,7 +105,9 @@ bool note(PyObject* controller, Summary& summary) {
     if (PyObject_SetAttr(controller, names.refused, Py_False) != 0) return false;
   }
   const long before = PyLong_AsLong(failures.ptr());
-  const long now = (summary.flags & failed) != 0 ? before + 1 : 0;
+  if (before == -1 && PyErr_Occurred() != nullptr) return false;
+  const bool counts = (summary.flags & failed) != 0;
+  const long now = counts ? before + (before < std::numeric_limits<long>::max() ? 1 : 0) : 0;
   if (now == before) return true;
   const nb::object number = nb::steal(PyLong_FromLong(now));
   return number.is_valid() && PyObject_SetAttr(controller, names.failures, number.ptr()) == 0;
@@ -130,7 +120,6 @@ PyObject* step(PyObject* self, PyObject* const* arguments, std::size_t flagged,
   nb::object kept;
   BoundStepper* quick = count < 1 ? nullptr : quick_of(arguments[0], kept);
   if (quick == nullptr) return in_python(self, arguments, flagged, keywords);
-  if (!set_deadline(*quick)) return nullptr;
   if (!sort(arguments + 1, count - 1, keywords, 4, names.step, sorted)) {
     return in_python(self, arguments, flagged, keywords);
   }
@@ -148,10 +137,7 @@ PyObject* step(PyObject* self, PyObject* const* arguments, std::size_t flagged,
   Summary summary;
   if (given(q) && measured == nullptr) return in_python(self, arguments, flagged, keywords);
   if (!stepper.step(measured, seconds, summary)) {
-    if (stepper.left()) stepper.suspend();
-    PyObject* made = in_python(self, arguments, flagged, keywords);
-    stepper.drop();  // also where an interrupt came first: the next step may be of another world
-    return made;
+    return in_python(self, arguments, flagged, keywords);
   }
   quick->tell();
   if (!note(arguments[0], summary)) return nullptr;
@@ -236,10 +222,8 @@ void bind_loop(nb::module_& m) {
   names.quick = PyUnicode_InternFromString("stepper");
   names.refused = PyUnicode_InternFromString("_refused");
   names.failures = PyUnicode_InternFromString("failures");
-  names.deadline = PyUnicode_InternFromString("deadline");
   intern(names.step, {"q", "dt", "v", "age"});
   intern(names.target, {"name", "position", "quaternion", "velocity", "q", "direction"});
-  names.clock = nb::object(nb::module_::import_("time").attr("perf_counter")).release().ptr();
   names.stepper = reinterpret_cast<PyTypeObject*>(nb::type<BoundStepper>().ptr());
   m.def("quick_step", [type](nb::object function) { return method(type, step, function); },
         nb::arg("function"), "Return `Controller.step`, which is `function` for what is not plain.");

@@ -4,8 +4,7 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
-#include <chrono>
-#include <cmath>
+#include <cstdint>
 #include <limits>
 #include <stdexcept>
 
@@ -20,8 +19,6 @@ namespace {
 using Matrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
-
-constexpr double longest = 1e6;  // s: a solve that may take longer has no end
 
 /// Return an array of its own with a copy of n elements.
 Result copied(const double* values, int n) {
@@ -48,9 +45,11 @@ const char* name(rmrc::Status status) {
 }
 
 rmrc::QPSolver make_solver(int size, int rows, int equalities, int max_iter) {
-  if (size < 1 || rows < 0 || equalities < 0 || max_iter < 1) {
-    throw std::invalid_argument("a size is out of range");
-  }
+  if (size < 1 || max_iter < 1) throw std::invalid_argument("a size is out of range");
+  const auto all = static_cast<std::int64_t>(rows) + equalities;
+  rmrc::require_countable(std::max<std::int64_t>({rows, equalities, all, size + std::int64_t{4}}),
+                          size + std::int64_t{4});
+  if (rows < 0 || equalities < 0) throw std::invalid_argument("a size is out of range");
   return rmrc::QPSolver(size, rows, equalities, max_iter);
 }
 
@@ -72,13 +71,7 @@ nb::tuple solve(rmrc::QPSolver& solver, const Matrix& H, const Vector& g, const 
                               ub.data(), C.data(),  lo.data(),
                               hi.data(), E.data(),  f.data(),
                               static_cast<int>(rows), static_cast<int>(equalities)};
-  using Clock = rmrc::QPSolver::Clock;
-  auto end = Clock::time_point::max();
-  if (std::isfinite(seconds)) {
-    const std::chrono::duration<double> left(std::clamp(seconds, 0.0, longest));
-    end = Clock::now() + std::chrono::duration_cast<Clock::duration>(left);
-  }
-  const rmrc::Status status = solver.solve(program, end);
+  const rmrc::Status status = solver.solve(program, rmrc::end_after(seconds));
   return nb::make_tuple(copied(solver.v(), solver.size()),
                         copied(solver.bound_multiplier(), solver.size()),
                         copied(solver.row_multiplier(), program.rows),

@@ -2,13 +2,21 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
+
+#include "box.hpp"
 
 namespace rmrc {
 
-Path::Path(std::vector<double> deceleration)
+namespace {
+
+constexpr double most_steps = 9007199254740992.0;  // rmrc.control.shorten.MOST_STEPS
+
+}  // namespace
+
+Path::Path(std::vector<double> deceleration, std::vector<int> balls)
     : deceleration_(std::move(deceleration)),
+      balls_(std::move(balls)),
       slows_(std::all_of(deceleration_.begin(), deceleration_.end(),
                          [](double a) { return std::isfinite(a); })),
       sign_(deceleration_.size()),
@@ -20,14 +28,16 @@ void Path::set_out(const double* v, double dt) {
   dt_ = dt;
   last_ = 0.0;
   for (int i = 0; i < size(); ++i) {
-    const double change = deceleration_[i] * dt;
     sign_[i] = v[i] > 0.0 ? 1.0 : v[i] < 0.0 ? -1.0 : 0.0;
     speed_[i] = std::abs(v[i]);
-    steps_[i] = std::floor(speed_[i] / change);
-    change_[i] = change < std::numeric_limits<double>::infinity() ? change : 0.0;
+  }
+  braking(deceleration_, balls_, speed_.data(), dt, steps_.data(), change_.data());
+  for (int i = 0; i < size(); ++i) {
+    steps_[i] = std::floor(steps_[i]);
+    if (!std::isfinite(change_[i])) change_[i] = 0.0;
     last_ = std::max(last_, steps_[i]);
   }
-  last_ += 1.0;
+  last_ = 1.0 + std::min(last_, most_steps);
 }
 
 void Path::way(double place, double* way) const {

@@ -12,8 +12,8 @@ namespace rmrc {
 /// all joints rest.
 class Path {
  public:
-  /// `deceleration` (n,) is a, ∞ without a limit.
-  explicit Path(std::vector<double> deceleration);
+  /// `deceleration` (n,) is a, ∞ without a limit; `balls` are the first entries of ball joints.
+  Path(std::vector<double> deceleration, std::vector<int> balls);
 
   /// Begin the way of v (n,) in steps of dt.
   void set_out(const double* v, double dt);
@@ -40,6 +40,7 @@ class Path {
 
  private:
   std::vector<double> deceleration_;
+  std::vector<int> balls_;
   bool slows_;
   double dt_ = 0.0, last_ = 1.0;
   // Of each joint its sign and speed, the whole steps it takes to rest, and the change in each.

@@ -64,15 +64,14 @@ void Progress::look(const Engine& engine, const double* v, double elapsed) {
     const RowTerm& term = *engine.row_terms()[watched.term];
     const double* error = engine.stack().error + term.data().first;
     const double* rate = engine.rate() + term.data().first;
-    double measures[2], moved[6];
+    double measures[2];
     term.measure(measures);
     off |= measures[0] > watched.tolerance[0] || measures[1] > watched.tolerance[1];
-    term.multiply(v, moved);
     for (int r = 0; r < term.data().rows; ++r) {
       const double pull = watched.weight[r] * error[r];
       square += pull * error[r];
       asked += pull * rate[r];
-      speed += pull * moved[r];
+      speed += pull * term.rate_of(r, v);
     }
   }
   if (!off || !(square > 0.0)) {

@@ -16,11 +16,12 @@ namespace {
 // working set, so that limits active by a hair cannot be taken up and dropped for ever.
 constexpr double first_tolerance = 1e-13;
 constexpr int looks = 6;
+// Changes of the working set in one look, for each variable, and for each row. More go in circles,
+// which a larger tolerance breaks.
+constexpr int changes_by_variable = 6;
 // Residual of the working set's equations, relative to their terms, that needs no refinement.
 constexpr double resolution = 16.0 * std::numeric_limits<double>::epsilon();
 constexpr int refinements = 5;
-// Changes of the working set between two looks at the clock, less one: a power of two, less one.
-constexpr int between_looks = 31;
 
 // Whether a multiplier is smaller than −least on the side that its limit acts on.
 bool points_back(Side side, double multiplier, double least = 0.0) {
@@ -137,12 +138,6 @@ void QPSolver::find_rows_again() {
   equalities_ = p.equalities;
 }
 
-// Whether the time is not over; it is looked at now and then.
-bool QPSolver::in_time() const {
-  return (iterations_ & between_looks) != between_looks || end_ == Clock::time_point::max() ||
-         Clock::now() < end_;
-}
-
 // Whether all numbers are finite, and no limit is NaN.
 bool QPSolver::finite() const {
   const Program& p = *program_;
@@ -177,11 +172,12 @@ Status QPSolver::run() {
   factorize();
   settle(true);
   double tolerance = first_tolerance;
-  release_pushed_back(tolerance);
+  if (!release_pushed_back(tolerance)) return Status::time_limit;
   bool settled = true;  // whether v solves the working set's equations, but for rounding
   for (int look = 0; look < looks; ++look, tolerance *= 10.0) {
     bool changed = false;
-    for (Limit limit; most_violated(tolerance, limit); changed = true) {
+    const int most = iterations_ + changes_by_variable * size_ + rows_;
+    for (Limit limit; iterations_ < most && most_violated(tolerance, limit); changed = true) {
       const Status status = enforce(limit);
       if (status == Status::solved) {
         settled = false;
@@ -190,13 +186,13 @@ Status QPSolver::run() {
       } else {
         // What the steps before have added up to is no proof of a contradiction.
         settle(false);
-        release_pushed_back(tolerance);
+        if (!release_pushed_back(tolerance)) return Status::time_limit;
         settled = true;
       }
     }
     if (!changed) return finish();
     settle(false);
-    release_pushed_back(tolerance);
+    if (!release_pushed_back(tolerance)) return Status::time_limit;
     settled = true;
   }
   return Status::max_iter;
@@ -343,8 +339,8 @@ void QPSolver::correct() {
 }
 
 // Release every limit whose multiplier has the wrong sign, for it holds v back from the optimum,
-// until none has: a working set that the dual method may start from.
-void QPSolver::release_pushed_back(double tolerance) {
+// until none has: a working set that the dual method may start from. False if the time is over.
+bool QPSolver::release_pushed_back(double tolerance) {
   for (bool released = true; released;) {
     const double least = tolerance * scale_;
     released = false;
@@ -359,10 +355,12 @@ void QPSolver::release_pushed_back(double tolerance) {
       released = true;
     }
     if (released) {
+      if (is_over(end_)) return false;
       rebuild_basis();
       settle(false);
     }
   }
+  return true;
 }
 
 // Find the limit that v passes by most: among the bounds, and among the rows where all bounds hold.

@@ -1,6 +1,7 @@
 // The quadratic program of a step, and a dual active-set solver for it.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <vector>
@@ -31,6 +32,21 @@ struct Program {
   /// index if it is null.
   const std::int64_t* keys = nullptr;
 };
+
+/// When so many seconds from now are over; the end of all time if they are infinite.
+inline std::chrono::steady_clock::time_point end_after(double seconds) {
+  using Clock = std::chrono::steady_clock;
+  constexpr double longest = 1e6;  // s: what may take longer has no end
+  if (!(seconds < longest)) return Clock::time_point::max();
+  const std::chrono::duration<double> left(std::max(seconds, 0.0));
+  return Clock::now() + std::chrono::duration_cast<Clock::duration>(left);
+}
+
+/// Whether the clock says that it is over, which is not looked at where there is no end.
+inline bool is_over(std::chrono::steady_clock::time_point end) {
+  using Clock = std::chrono::steady_clock;
+  return end != Clock::time_point::max() && Clock::now() >= end;
+}
 
 /// How a solve ended: as in rmrc.qp.program.SolveStatus.
 enum class Status { solved, max_iter, time_limit, infeasible, failed };
@@ -107,7 +123,6 @@ class QPSolver {
 
   bool finite() const;
   void find_rows_again();
-  bool in_time() const;
   bool read_limits();
   Status run();
   Status finish();
@@ -119,7 +134,7 @@ class QPSolver {
   double residuals();
   void correct();
 
-  void release_pushed_back(double tolerance);
+  bool release_pushed_back(double tolerance);
   bool most_violated(double tolerance, Limit& found) const;
   Status enforce(const Limit& limit);
   bool find_direction(const Limit& limit);

@@ -23,10 +23,13 @@ constexpr double farthest = 1e9;
 Status QPSolver::enforce(const Limit& limit) {
   double multiplier = 0.0;
   while (iterations_ < max_iterations_) {
-    if (!in_time()) return Status::time_limit;
+    if (is_over(end_)) return Status::time_limit;  // quickly looked at, beside what follows
     const bool independent = find_direction(limit);
-    const double excess = std::max(0.0, violation(limit));
+    const double passed = violation(limit), excess = std::max(0.0, passed);
     const double whole = independent ? excess / curvature_ : infinity;
+    // Beyond the range of a double a way has no length: H is not positive definite, or as good as
+    // not. What follows compares, and a NaN is neither more nor less than anything.
+    if (!std::isfinite(passed) || (independent && !std::isfinite(whole))) return Status::failed;
     const Block block = first_block();
     const double step = std::min(whole, block.step);
     if (step == infinity) {
@@ -105,7 +108,7 @@ bool QPSolver::contradicted(const Limit& limit) const {
                                  : limit.sign * row(limit.index)[i];
     const double most = std::max(relative(balance_tolerance, left), enough);
     for (int t = 0; t < active_count_; ++t) left += dy_[t] * row(active_[t])[i];
-    if (std::abs(left) > most) return false;
+    if (!(std::abs(left) <= most)) return false;  // nor does NaN balance
   }
   return true;
 }

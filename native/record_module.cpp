@@ -158,6 +158,10 @@ const double* plain(PyObject* object, Py_ssize_t size) {
 }
 
 PyObject* make_step(const Stepper& stepper, const Summary& summary, PyObject* owner) {
+  if (types.step == nullptr) {
+    PyErr_SetString(PyExc_RuntimeError, "set_step_type comes before the first step");
+    return nullptr;
+  }
   auto* record =
       reinterpret_cast<Record*>(PyObject_NewVar(Record, types.record, stepper.size()));
   if (record == nullptr) return nullptr;
@@ -172,8 +176,12 @@ PyObject* make_step(const Stepper& stepper, const Summary& summary, PyObject* ow
     return nullptr;
   }
   extra_of(step).record = reinterpret_cast<PyObject*>(record);
-  *reinterpret_cast<PyObject**>(reinterpret_cast<char*>(step) + types.flag_bits) =
-      PyLong_FromUnsignedLong(summary.flags);
+  PyObject* flags = PyLong_FromUnsignedLong(summary.flags);
+  if (flags == nullptr) {
+    Py_DECREF(step);
+    return nullptr;
+  }
+  *reinterpret_cast<PyObject**>(reinterpret_cast<char*>(step) + types.flag_bits) = flags;
   return step;
 }
 

@@ -9,6 +9,13 @@
 
 namespace rmrc {
 
+void velocity_at(const double* twist, const double* origin, const double* point, double* out) {
+  double arm[3];
+  for (int i = 0; i < 3; ++i) arm[i] = point[i] - origin[i];
+  cross(twist + 3, arm, out);
+  for (int i = 0; i < 3; ++i) out[i] += twist[i];
+}
+
 RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
                  const MuJoCo& mujoco, const Stack& stack)
     : data_(std::move(data)),
@@ -26,12 +33,20 @@ RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
   jacobian_.resize(static_cast<std::size_t>(data_.rows) * stride_);
   weighted_.resize(jacobian_.size());
   wanted_.resize(data_.rows);
+  drift_.resize(data_.rows);
   world_.resize(6 * static_cast<std::size_t>(stride_));
   transform_.resize(6 * static_cast<std::size_t>(data_.rows));
 }
 
 void RowTerm::evaluate() {
+  if (carried_) {
+    std::fill(drift_.begin(), drift_.end(), 0.0);
+    if (!moves()) std::fill_n(feedforward(), data_.rows, 0.0);
+  }
   differentiate();
+  if (carried_) {
+    for (int r = 0; r < data_.rows; ++r) feedforward()[r] -= drift_[r];
+  }
   const int rows = data_.rows, count = static_cast<int>(dofs_.size());
   for (int r = 0; r < rows; ++r) {
     double* out = stack_.jacobian + (data_.first + r) * mujoco_.nv;
@@ -125,12 +140,10 @@ void RowTerm::copy_row(int r, double* row) const {
   for (int k = 0; k < inside_; ++k) row[columns_[k]] = weighted_[r * stride_ + k];
 }
 
-void RowTerm::multiply(const double* v, double* out) const {
-  for (int r = 0; r < data_.rows; ++r) {
-    double sum = 0.0;
-    for (int k = 0; k < inside_; ++k) sum += jacobian_[r * stride_ + k] * v[columns_[k]];
-    out[r] = sum;
-  }
+double RowTerm::rate_of(int r, const double* v) const {
+  double sum = 0.0;
+  for (int k = 0; k < inside_; ++k) sum += jacobian_[r * stride_ + k] * v[columns_[k]];
+  return sum;
 }
 
 void RowTerm::measure(double* measures) const {
@@ -156,6 +169,10 @@ void RowTerm::move(const Frame& frame) {
       world[(3 + i) * stride_ + k] = angular[i];
     }
   }
+  std::fill_n(carried_by_, 6, 0.0);
+  if (frame.carrier == nullptr) return;
+  velocity_at(frame.carrier, frame.reference, frame.position, carried_by_);
+  std::copy_n(frame.carrier + 3, 3, carried_by_ + 3);
 }
 
 void RowTerm::carry(const Frame& base, const double* point) {
@@ -172,10 +189,18 @@ void RowTerm::carry(const Frame& base, const double* point) {
       world[(3 + i) * stride_ + k] -= angular[i];
     }
   }
+  if (base.carrier == nullptr) return;
+  double velocity[3];
+  velocity_at(base.carrier, base.reference, point, velocity);
+  for (int i = 0; i < 3; ++i) {
+    carried_by_[i] -= velocity[i];
+    carried_by_[3 + i] -= base.carrier[3 + i];
+  }
 }
 
 void RowTerm::turn(const double* T) {
   std::copy_n(T, transform_.size(), transform_.begin());
+  for (int r = 0; carried_ && r < data_.rows; ++r) drift_[r] += dot(T + 6 * r, carried_by_, 6);
   for (int r = 0; r < data_.rows; ++r, T += 6) {
     double* out = jacobian_.data() + r * stride_;
     for (int k = 0; k < stride_; k += 4) {

@@ -11,8 +11,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.qp.rows: PASSED, STOPPING, ROUNDING and FASTEST.
-constexpr double passed_by = 1e-6;
+// rmrc.qp.rows: STOPPING, ROUNDING and FASTEST.
 constexpr double counted_on = 0.5;
 constexpr double rounding = 1e-9;
 constexpr double fastest = 1e6;
@@ -33,10 +32,17 @@ Rows::Rows(const MuJoCo& mujoco, const Kinematics& now, std::vector<int> dofs,
       capacity_(capacity),
       stops_(std::any_of(inverse_acceleration_.begin(), inverse_acceleration_.end(),
                          [](double value) { return value != 0.0; })),
+      turning_(mujoco.nv, true),
       travel_(mujoco.nv),
       low_(dofs_.size()),
       high_(dofs_.size()),
       keys_(capacity) {}
+
+void Rows::know(double resolution, std::vector<bool> turning, Slides slides) {
+  resolution_ = resolution;
+  turning_ = std::move(turning);
+  slides_ = std::move(slides);
+}
 
 void Rows::add(SpeedRows speed) {
   room_ += speed.count();
@@ -65,6 +71,8 @@ void Rows::update(const double* lb, const double* ub, double dt) {
     }
   }
   limit(lb, ub, dt);
+  slides_.begin(now_.qpos, travel_.data());
+  slides_.stretch(travel_.data(), dt);
   for (std::size_t k = 0; k < blocks_.size(); ++k) add_block(static_cast<std::int64_t>(k), dt);
 }
 
@@ -74,6 +82,7 @@ void Rows::keep(Memory& memory) {
 
 // Bound how fast the joints can be, and how far they can go until they rest.
 void Rows::limit(const double* lb, const double* ub, double dt) {
+  std::fill(travel_.begin(), travel_.end(), 0.0);
   for (std::size_t k = 0; k < dofs_.size(); ++k) {
     // Without a limit 0 · ∞ would be no number, and no joint goes further than around.
     low_[k] = std::max(lb[k], -fastest);
@@ -101,7 +110,7 @@ void Rows::add_block(std::int64_t which, double dt) {
     for (int k = 0; k < n; ++k) columns[k] = slope[dofs_[k]];
     arrays_.lower[row] = lower(*block.barrier, row, dt);
     arrays_.upper[row] = infinity;
-    passed_ |= arrays_.distance[row] < -passed_by;
+    passed_ |= arrays_.distance[row] < -resolution_;
   }
 }
 

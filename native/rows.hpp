@@ -7,6 +7,7 @@
 
 #include "barrier.hpp"
 #include "mujoco.hpp"
+#include "slides.hpp"
 #include "speed.hpp"
 
 namespace rmrc {
@@ -31,6 +32,10 @@ class Rows {
   Rows(const MuJoCo& mujoco, const Kinematics& now, std::vector<int> dofs, std::vector<int> place,
        std::vector<double> inverse_acceleration, const RowArrays& arrays, int capacity);
 
+  /// Take a distance to be on its limit where it is below by no more than `resolution`; `turning`
+  /// says which dofs turn, not shift (nv,), and `slides` what levers leave out.
+  void know(double resolution, std::vector<bool> turning, Slides slides);
+
   void add(SpeedRows speed);
   void add(std::unique_ptr<Barrier> barrier);
 
@@ -53,6 +58,10 @@ class Rows {
   /// All barriers, those without a row included.
   const std::vector<Block>& blocks() const { return blocks_; }
 
+  double resolution() const { return resolution_; }
+  const std::vector<bool>& turning() const { return turning_; }
+  const Slides& slides() const { return slides_; }
+
   /// Whether a distance is below its limit.
   bool passed() const { return passed_; }
 
@@ -72,6 +81,9 @@ class Rows {
   RowArrays arrays_;
   int capacity_, speed_count_ = 0, room_ = 0;
   bool stops_;
+  double resolution_ = 1e-6;  // rmrc.problem.limits.extents.FINEST
+  std::vector<bool> turning_;
+  Slides slides_;
   std::vector<SpeedRows> speeds_;
   std::vector<std::unique_ptr<Barrier>> barriers_;
   std::vector<Block> blocks_;

@@ -7,6 +7,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -61,19 +62,36 @@ class Fields {
   nb::dict fields_;
 };
 
-struct BoundKinematics {
-  Kinematics arrays;
-  nb::dict kept;
+// How many of each thing the arrays of kinematics are of.
+struct Counts {
+  std::size_t coordinates, mocaps, bodies, geoms, sites, dofs;
+  bool operator==(const Counts&) const = default;
 };
 
-BoundKinematics make_kinematics(std::uintptr_t data, nb::dict arrays) {
-  const Fields fields(arrays);
-  const auto all = [&](const char* name) { return fields.doubles(name, fields.size(name)); };
-  const Kinematics made{reinterpret_cast<void*>(data), all("qpos"),
-                        all("mocap_pos"),  all("mocap_quat"), all("xpos"),
-                        all("xquat"),      all("geom_xpos"),  all("geom_xmat"),
-                        all("site_xpos"),  all("cdof"),       all("reference")};
-  return {made, std::move(arrays)};
+struct BoundKinematics {
+  Kinematics arrays;
+  Counts counts;
+  nb::object data, kept;
+};
+
+BoundKinematics make_kinematics(nb::object data, const nb::dict& arrays) {
+  nb::dict own = copied(arrays);  // which nobody else can take anything out of
+  const Fields fields(own);
+  const Counts counts{fields.size("qpos"),          fields.size("mocap_pos") / 3,
+                      fields.size("xpos") / 3,      fields.size("geom_xpos") / 3,
+                      fields.size("site_xpos") / 3, fields.size("cdof") / 6};
+  const Kinematics made{address_of(data, "MjData"),
+                        fields.doubles("qpos", counts.coordinates),
+                        fields.doubles("mocap_pos", 3 * counts.mocaps),
+                        fields.doubles("mocap_quat", 4 * counts.mocaps),
+                        fields.doubles("xpos", 3 * counts.bodies),
+                        fields.doubles("xquat", 4 * counts.bodies),
+                        fields.doubles("geom_xpos", 3 * counts.geoms),
+                        fields.doubles("geom_xmat", 9 * counts.geoms),
+                        fields.doubles("site_xpos", 3 * counts.sites),
+                        fields.doubles("cdof", 6 * counts.dofs),
+                        fields.doubles("reference", 3 * counts.bodies)};
+  return {made, counts, std::move(data), std::move(own)};
 }
 
 class BoundRows {
@@ -81,11 +99,19 @@ class BoundRows {
   BoundRows(nb::handle engine, const BoundKinematics& now, Numbers inverse_acceleration,
             Writing matrix, Writing lower, Writing upper, Writing multiplier, Integers ids,
             Writing distance, Writing slope, Writing drift)
-      : kept_{now.kept,        nb::cast(matrix),   nb::cast(lower),
-              nb::cast(upper), nb::cast(multiplier), nb::cast(ids),   nb::cast(distance),
-              nb::cast(slope), nb::cast(drift)} {
+      : kept_(kept_by(engine)), counts_(now.counts) {
+    for (const Writing* array :
+         {&matrix, &lower, &upper, &multiplier, &distance, &slope, &drift}) {
+      kept_.push_back(nb::cast(*array));
+    }
+    for (const nb::object& part : {nb::cast(ids), now.data, now.kept}) kept_.push_back(part);
     const Engine& native = engine_of(engine);
+    if (counts_.coordinates != static_cast<std::size_t>(native.mujoco().nq) ||
+        counts_.dofs != static_cast<std::size_t>(native.mujoco().nv)) {
+      throw std::invalid_argument("the kinematics are another model's");
+    }
     const std::size_t capacity = lower.size(), n = native.size(), nv = native.mujoco().nv;
+    require_countable(static_cast<std::int64_t>(capacity), static_cast<std::int64_t>(nv));
     if (matrix.size() != capacity * n || upper.size() != capacity ||
         multiplier.size() != capacity || ids.size() != capacity || distance.size() != capacity ||
         slope.size() != capacity * nv || drift.size() != capacity ||
@@ -102,6 +128,30 @@ class BoundRows {
   }
 
   Rows& operator*() { return *rows_; }
+  const Counts& counts() const { return counts_; }
+
+  /// Have nothing added any more.
+  void close() { closed_ = true; }
+
+  void know(double resolution, std::vector<bool> turning,
+            const std::vector<std::tuple<int, int, double, double, int, std::vector<int>>>& slides,
+            Reading twist) {
+    const MuJoCo& mujoco = rows_->mujoco();
+    std::vector<Slide> made;
+    for (const auto& [coordinate, dof, zero, counted, mocap, before] : slides) {
+      require_index(coordinate, mujoco.nq, "coordinate");
+      require_index(dof, mujoco.nv, "dof");
+      require_index(mocap + 1, static_cast<int>(counts_.mocaps) + 1, "mocap");
+      for (const int above : before) require_index(above, mujoco.nv, "dof");
+      made.push_back({coordinate, dof, zero, counted, mocap, before});
+    }
+    require_twists(twist);
+    if (turning.size() != static_cast<std::size_t>(mujoco.nv)) {
+      throw std::invalid_argument("turning has a wrong size");
+    }
+    kept_.push_back(nb::cast(twist));
+    rows_->know(resolution, std::move(turning), Slides(std::move(made), twist.data()));
+  }
 
   void add_speed(Reading position, Reading rotation, Reading reference, std::vector<int> dofs,
                  bool turned, double linear, double angular, Reading rate) {
@@ -109,6 +159,8 @@ class BoundRows {
         rate.size() != 6) {
       throw std::invalid_argument("a frame has a wrong size");
     }
+    require_open();
+    require_dofs(dofs, rows_->mujoco().nv);
     for (const Reading* array : {&position, &rotation, &reference, &rate}) {
       kept_.push_back(nb::cast(*array));
     }
@@ -117,11 +169,18 @@ class BoundRows {
   }
 
   void add_collision(double d_min, double detect, double gain, double push, Reading twist,
-                     nb::dict arrays) {
-    const Fields fields(arrays);
+                     const nb::dict& arrays) {
+    require_open();
+    nb::dict own = copied(arrays);
+    const Fields fields(own);
     PairArrays a{};
     const std::size_t p = fields.size("bound"), nv = rows_->mujoco().nv;
     const std::size_t width = nv + twist.size(), bodies = fields.size("reach");
+    require_twists(twist);
+    require_countable(static_cast<std::int64_t>(p), static_cast<std::int64_t>(std::max<std::size_t>(width, 6)));
+    if (bodies != counts_.bodies || bodies == 0) {
+      throw std::invalid_argument("reach has a wrong size");
+    }
     a.pairs = static_cast<int>(p);
     a.bodies = static_cast<int>(bodies);
     a.mocaps = static_cast<int>(twist.size() / 6);
@@ -135,7 +194,7 @@ class BoundRows {
     a.mocap = fields.integers("mocap", 2 * p);
     a.plane = fields.flags("plane", p);
     a.doubtful = fields.flags("doubtful", p);
-    a.size = fields.doubles("size", fields.size("size"));
+    a.size = fields.doubles("size", 3 * counts_.geoms);
     a.radii = fields.doubles("radii", p);
     a.thickness = fields.doubles("thickness", p);
     a.levers = fields.doubles("levers", p * width);
@@ -150,6 +209,7 @@ class BoundRows {
     a.sign = fields.doubles("sign", p);
     a.carries = fields.doubles("carries", p * nv);
     a.moves = fields.doubles("moves", p * nv);
+    a.precision = fields.doubles("precision", 2);
     a.twist = twist.data();
     a.bound = fields.doubles("bound", p);
     a.threshold = fields.doubles("threshold", p);
@@ -164,8 +224,19 @@ class BoundRows {
     a.quaternion = fields.doubles("quaternion", 4 * bodies);
     a.seen_position = fields.doubles("seen_position", 3 * bodies);
     a.seen_quaternion = fields.doubles("seen_quaternion", 4 * bodies);
+    for (std::size_t k = 0; k < 2 * p; ++k) {
+      require_index(a.geoms[k], static_cast<std::int64_t>(counts_.geoms), "geom");
+      require_index(a.body[k], a.bodies, "body");
+      require_index(a.root[k], a.bodies, "body");
+      if (a.mocap[k] >= 0) require_index(a.mocap[k], a.mocaps, "mocap body");
+    }
+    for (std::size_t k = 0; k < p; ++k) {
+      require_index(a.base[k], static_cast<std::int64_t>(counts_.geoms), "geom");
+      require_index(a.other[k], static_cast<std::int64_t>(counts_.geoms), "geom");
+    }
+    for (std::size_t k = 0; k < nv; ++k) require_index(a.dof_root[k], a.bodies, "body");
     kept_.push_back(nb::cast(twist));
-    kept_.push_back(std::move(arrays));
+    kept_.push_back(std::move(own));
     rows_->add(std::make_unique<Collision>(a, rows_->mujoco()));
   }
 
@@ -173,12 +244,24 @@ class BoundRows {
       const std::vector<std::tuple<std::string, int, int, int, Numbers, double, std::vector<int>,
                                    Numbers>>& planes,
       double gain, double push, Reading twist) {
+    require_open();
+    require_twists(twist);
     std::vector<Plane> made;
     for (const auto& [kind, id, root, mocap, normal, offset, dofs, levers] : planes) {
       const Anchor anchor = kind == "site"   ? Anchor::site
                             : kind == "geom" ? Anchor::geom
-                                             : Anchor::body;
-      made.push_back({anchor, id, root, mocap, {normal.at(0), normal.at(1), normal.at(2)}, offset,
+                            : kind == "body"
+                                ? Anchor::body
+                                : throw std::invalid_argument("there is no frame of a " + kind);
+      const std::size_t all = kind == "site"   ? counts_.sites
+                              : kind == "geom" ? counts_.geoms
+                                               : counts_.bodies;
+      require_index(id, static_cast<std::int64_t>(all), "frame");
+      require_index(root, static_cast<std::int64_t>(counts_.bodies), "body");
+      if (mocap >= 0) require_index(mocap, static_cast<std::int64_t>(counts_.mocaps), "mocap body");
+      require_dofs(dofs, rows_->mujoco().nv);
+      require(normal, 3, "a normal");
+      made.push_back({anchor, id, root, mocap, {normal[0], normal[1], normal[2]}, offset,
                       dofs, levers});
       if (levers.size() != rows_->mujoco().nv + twist.size()) {
         throw std::invalid_argument("levers has a wrong size");
@@ -191,8 +274,13 @@ class BoundRows {
 
   void add_balls(const std::vector<std::tuple<int, int, double>>& balls, double gain,
                  double push) {
+    require_open();
     std::vector<Ball> made;
-    for (const auto& [coordinate, dof, largest] : balls) made.push_back({coordinate, dof, largest});
+    for (const auto& [coordinate, dof, largest] : balls) {
+      require_part(coordinate, 4, rows_->mujoco().nq, "coordinate");
+      require_part(dof, 3, rows_->mujoco().nv, "dof");
+      made.push_back({coordinate, dof, largest});
+    }
     rows_->add(std::make_unique<BallRange>(std::move(made), gain, push, rows_->mujoco().nv));
   }
 
@@ -203,32 +291,73 @@ class BoundRows {
   }
 
  private:
+  // Who checks commands by the barriers has looked which there are.
+  void require_open() const {
+    if (closed_) throw std::invalid_argument("these rows are in use: nothing can be added");
+  }
+
+  void require_twists(const Reading& twist) const {
+    require(twist, 6 * counts_.mocaps, "twist");
+  }
+
   std::vector<nb::object> kept_;
+  Counts counts_;
+  bool closed_ = false;
   std::unique_ptr<Rows> rows_;
 };
 
 class BoundShortening {
  public:
-  BoundShortening(nb::object rows, const BoundKinematics& own, Numbers deceleration, Reading twist)
-      : kept_{rows, own.kept, nb::cast(twist)},
-        native_(rows_of(rows), own.arrays, std::move(deceleration), twist.data(),
+  BoundShortening(nb::object rows, const BoundKinematics& own, Numbers deceleration,
+                  std::vector<int> balls, Reading twist)
+      : kept_{rows, own.data, own.kept, nb::cast(twist)},
+        native_(checked(rows, own, deceleration, twist), own.arrays, deceleration,
+                checked_balls(rows, std::move(balls)), twist.data(),
                 static_cast<int>(twist.size() / 6)) {}
 
   void follow(nb::object kinematics) {
-    native_.follow(kinematics_of(kinematics));
+    ForwardKinematics& native = kinematics_of(kinematics);
+    if (native.coordinates() != native_.rows().mujoco().nq) {
+      throw std::invalid_argument("the kinematics are another model's");
+    }
+    native_.follow(native);
     kept_.push_back(std::move(kinematics));
   }
 
   Shortening& operator*() { return native_; }
 
  private:
+  static std::vector<int> checked_balls(nb::handle rows, std::vector<int> balls) {
+    const int n = static_cast<int>(rows_of(rows).dofs().size());
+    for (const int first : balls) require_index(first, n - 2, "a ball joint's first dof");
+    return balls;
+  }
+
+  static Rows& checked(nb::handle rows, const BoundKinematics& own, const Numbers& deceleration,
+                       const Reading& twist) {
+    Rows& native = rows_of(rows);
+    if (own.counts != nb::cast<BoundRows&>(rows).counts()) {
+      throw std::invalid_argument("the kinematics are another model's");
+    }
+    require(deceleration, native.dofs().size(), "deceleration");
+    require(twist, 6 * own.counts.mocaps, "twist");
+    for (const double a : deceleration) {
+      if (!(a > 0.0)) throw std::invalid_argument("a deceleration is not positive");
+    }
+    return native;
+  }
+
   std::vector<nb::object> kept_;
   Shortening native_;
 };
 
 }  // namespace
 
-Rows& rows_of(nb::handle object) { return *nb::cast<BoundRows&>(object); }
+Rows& rows_of(nb::handle object) {
+  auto& bound = nb::cast<BoundRows&>(object);
+  bound.close();
+  return *bound;
+}
 
 Shortening& shortening_of(nb::handle object) { return *nb::cast<BoundShortening&>(object); }
 
@@ -238,21 +367,26 @@ void bind_rows(nb::module_& m) {
   nb::class_<BoundRows>(m, "Rows", "The rows of a step, in the arrays that it is given.")
       .def(nb::init<nb::handle, const BoundKinematics&, Numbers, Writing, Writing, Writing,
                     Writing, Integers, Writing, Writing, Writing>(),
-           nb::kw_only(), "engine"_a, "now"_a, "inverse_acceleration"_a, "matrix"_a, "lower"_a,
-           "upper"_a, "multiplier"_a, "ids"_a, "distance"_a, "slope"_a, "drift"_a)
-      .def("add_speed", &BoundRows::add_speed, nb::kw_only(), "position"_a, "rotation"_a,
-           "reference"_a, "dofs"_a, "turned"_a, "linear"_a, "angular"_a, "rate"_a)
+           nb::kw_only(), "engine"_a, "now"_a, "inverse_acceleration"_a, "matrix"_a.noconvert(),
+           "lower"_a.noconvert(), "upper"_a.noconvert(), "multiplier"_a.noconvert(),
+           "ids"_a.noconvert(), "distance"_a.noconvert(), "slope"_a.noconvert(),
+           "drift"_a.noconvert())
+      .def("know", &BoundRows::know, nb::kw_only(), "resolution"_a, "turning"_a, "slides"_a,
+           "twist"_a.noconvert())
+      .def("add_speed", &BoundRows::add_speed, nb::kw_only(), "position"_a.noconvert(),
+           "rotation"_a.noconvert(), "reference"_a.noconvert(), "dofs"_a, "turned"_a, "linear"_a,
+           "angular"_a, "rate"_a.noconvert())
       .def("add_collision", &BoundRows::add_collision, nb::kw_only(), "d_min"_a, "detect"_a,
-           "gain"_a, "push"_a, "twist"_a, "arrays"_a)
-      .def("add_workspace", &BoundRows::add_workspace, "planes"_a, "gain"_a, "push"_a, "twist"_a)
+           "gain"_a, "push"_a, "twist"_a.noconvert(), "arrays"_a)
+      .def("add_workspace", &BoundRows::add_workspace, "planes"_a, "gain"_a, "push"_a,
+           "twist"_a.noconvert())
       .def("add_balls", &BoundRows::add_balls, "balls"_a, "gain"_a, "push"_a)
       .def(
           "update",
           [](BoundRows& bound, const Reading& lb, const Reading& ub, double dt) {
             const std::size_t n = (*bound).dofs().size();
-            if (lb.size() != n || ub.size() != n) {
-              throw std::invalid_argument("the box has a wrong size");
-            }
+            require(lb, n, "lb");
+            require(ub, n, "ub");
             (*bound).update(lb.data(), ub.data(), dt);
           },
           "lb"_a, "ub"_a, "dt"_a, "Write the rows at the present kinematics.")
@@ -260,21 +394,24 @@ void bind_rows(nb::module_& m) {
       .def_prop_ro("count", [](BoundRows& bound) { return (*bound).count(); })
       .def_prop_ro("passed", [](BoundRows& bound) { return (*bound).passed(); });
   nb::class_<BoundShortening>(m, "Shortening", "How much of a command may be carried out.")
-      .def(nb::init<nb::object, const BoundKinematics&, Numbers, Reading>(), nb::kw_only(),
-           "rows"_a, "own"_a, "deceleration"_a, "twist"_a)
+      .def(nb::init<nb::object, const BoundKinematics&, Numbers, std::vector<int>, Reading>(), nb::kw_only(),
+           "rows"_a, "own"_a, "deceleration"_a, "balls"_a,
+           "twist"_a.noconvert())
       .def("follow", &BoundShortening::follow, "kinematics"_a,
            "Place what the barriers look at by these, in place of MuJoCo's.")
       .def(
           "share",
           [](BoundShortening& bound, const Reading& v, const Reading& brake,
-             double dt) -> std::optional<std::tuple<double, bool>> {
-            const Share found = (*bound).share(v.data(), brake.data(), dt);
-            if (!found.known) return std::nullopt;
+             double dt, double seconds) {
+            const std::size_t n = (*bound).rows().dofs().size();
+            require(v, n, "v");
+            require(brake, n, "brake");
+            const Share found = (*bound).share(v.data(), brake.data(), dt, end_after(seconds));
             return std::tuple(found.share, found.passed);
           },
-          "v"_a, "brake"_a, "dt"_a,
+          "v"_a, "brake"_a, "dt"_a, "seconds"_a,
           "Return how much of v keeps all distances, from the brake on, and whether one falls\n"
-          "below its limit even so; None if it takes too long to rest.");
+          "below its limit even so; nothing of it after so many seconds.");
 }
 
 }  // namespace rmrc

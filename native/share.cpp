@@ -10,8 +10,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.shorten: TOLERANCE, TRIALS, GUESSES, NEARER, LEAST_PART and CLOSE.
-constexpr double tolerance = 0.5e-6;
+// rmrc.control.shorten: TRIALS, GUESSES, NEARER, LEAST_PART and CLOSE.
 constexpr int trials = 10;
 constexpr int guesses = 10;
 constexpr double nearer = 0.98;
@@ -20,23 +19,27 @@ constexpr double close = 0.01;
 
 }  // namespace
 
-Share Shortening::share(const double* v, const double* brake, double dt) {
-  if (!watch(v, nullptr, dt)) return {0.0, false, false};
-  if (count_ == 0) return {1.0, false, true};
+Share Shortening::share(const double* v, const double* brake, double dt,
+                        QPSolver::Clock::time_point end) {
+  end_ = end;
+  watch(v, nullptr, dt);
+  if (count_ == 0) return {1.0, false};
   still_ = std::all_of(twist_, twist_ + 6 * mocaps_, [](double rate) { return rate == 0.0; });
   move_obstacles(dt);
-  if (worst(0.0)) return {1.0, false, true};
-  if (!watch(v, brake, dt)) return {0.0, false, false};
+  if (worst(0.0)) return {1.0, false};
+  watch(v, brake, dt);
   double high = 1.0;
-  for (int trial = 0; trial < trials; ++trial) {
+  for (int trial = 0; trial < trials && !is_over(end_); ++trial) {
     high = guess(v, brake, high, dt) * (1.0 - least_part * trial);
     if (high == 0.0) break;
     blend(v, brake, high, dt);
-    if (worst(0.0)) return {high, false, true};
+    if (worst(0.0)) return {high, false};
   }
-  // What the step before has left may be used up by rounding.
+  // The brake is what the step before has left.
+  if (is_over(end_)) return {0.0, false};
+  // That may be used up by rounding.
   path_.set_out(brake, dt);
-  return {0.0, !worst(-tolerance), true};
+  return {0.0, !worst(-tolerance_) && !is_over(end_)};
 }
 
 // Return a share below `high` at which the worst entry of the last look has room again.
@@ -55,7 +58,7 @@ double Shortening::guess(const double* v, const double* brake, double high, doub
       low = share;
       room_low = room;
     }
-    if (high == 0.0 || high - low < close || (room_low <= tolerance && low != 0.0)) break;
+    if (high == 0.0 || high - low < close || (room_low <= tolerance_ && low != 0.0)) break;
     const double part = nearer * room_low / (room_low - room_high);
     share = low + (high - low) * std::min(std::max(part, least_part), 1.0 - least_part);
   }

@@ -12,31 +12,32 @@ namespace rmrc {
 namespace {
 
 // rmrc.control.shorten: TOLERANCE, NOISE, MOST_LOOKS and MOST_PARTS.
-constexpr double tolerance = 0.5e-6;
-constexpr double noise = 1e-9;
+constexpr double tolerance = 0.5;
+constexpr double noise = 1e-3;
 constexpr int most_looks = 256;
 constexpr int most_parts = 24;
-// More steps to rest are left to Python.
-constexpr double most_steps = 1e6;
-constexpr int most_ahead = 24;  // > 1 + log₂ most_steps
+constexpr int most_ahead = 56;  // parts of parts, more than log₂ of most_steps of path.cpp
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 }  // namespace
 
 Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
-                       const double* twist, int mocaps)
+                       std::vector<int> balls, const double* twist, int mocaps)
     : rows_(rows),
+      slides_(rows.slides()),
+      tolerance_(tolerance * rows.resolution()),
+      noise_(noise * rows.resolution()),
       mujoco_(rows.mujoco()),
       own_(own),
       twist_(twist),
       mocaps_(mocaps),
       n_(static_cast<int>(rows.dofs().size())),
-      path_(std::move(deceleration)),
+      path_(std::move(deceleration), std::move(balls)),
       command_(n_),
       step_(mujoco_.nv),
       fast_(mujoco_.nv),
-      turn_(mujoco_.nv),
+      change_(mujoco_.nv),
       bent_(mujoco_.nv),
       moved_(mujoco_.nv),
       entries_(rows.capacity()),
@@ -59,22 +60,20 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
   }
 }
 
-// Find the entries that a motion with v, or with the brake if there is one, could carry below their
-// limit; false if there are too many steps to rest.
-bool Shortening::watch(const double* v, const double* brake, double dt) {
+// Find the entries that a motion with v, or with any share between it and the brake if there is one,
+// could carry below their limit.
+void Shortening::watch(const double* v, const double* brake, double dt) {
   dt_ = dt;
   std::fill(step_.begin(), step_.end(), 0.0);
-  double* way = ahead_[0].look.way.data();
-  for (const double* command : {brake, v}) {
-    if (command == nullptr) continue;
-    path_.set_out(command, dt);
-    if (!(path_.last() <= most_steps)) return false;
-    path_.way(path_.last(), way);
-    for (int i = 0; i < n_; ++i) {
-      double& step = step_[rows_.dofs()[i]];
-      step = std::max(step, std::abs(way[i]));
-    }
+  for (int i = 0; i < n_; ++i) {
+    command_[i] = brake == nullptr ? v[i] : std::max(std::abs(v[i]), std::abs(brake[i]));
   }
+  path_.set_out(command_.data(), dt);
+  double* way = ahead_[0].look.way.data();
+  path_.way(path_.last(), way);
+  for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = std::abs(way[i]);
+  slides_.begin(rows_.now().qpos, step_.data());
+  slides_.stretch(step_.data(), dt);
   count_ = 0;
   for (std::size_t k = 0; k < rows_.blocks().size(); ++k) {
     const Block& block = rows_.blocks()[k];
@@ -87,7 +86,7 @@ bool Shortening::watch(const double* v, const double* brake, double dt) {
       entry.barrier = block.barrier;
       entry.pairs = pairs_[k];
       entry.id = id;
-      entry.floor = std::min(distance - noise, -tolerance);
+      entry.floor = std::min(distance - noise_, -tolerance_);
       entry.reach = reach;
       entry.now = distance;
       if (entry.pairs != nullptr) {
@@ -97,11 +96,11 @@ bool Shortening::watch(const double* v, const double* brake, double dt) {
       entry.now -= entry.floor;
     }
   }
-  return true;
 }
 
 // Whether no look on the path to rest, which is halved until each part is known to be free, finds
-// a room below `least`; the first that does is kept.
+// a room below `least`; the first that does is kept. What the clock cuts short is not known to be
+// free either.
 bool Shortening::worst(double least) {
   Look& end = ahead_[0].look;
   look(path_.last(), all_.data(), count_, end);
@@ -118,10 +117,12 @@ bool Shortening::worst(double least) {
   }
   const int cuts = parts();
   for (int k = 1; k < cuts; ++k) {
+    if (is_over(end_)) return false;
     look(static_cast<double>(k) / cuts, whole.among.data(), whole.count, begin_);
     if (is_short(begin_, least)) return false;
   }
   if (path_.last() == 1.0) return true;
+  if (is_over(end_)) return false;
   look(1.0, whole.among.data(), whole.count, begin_);
   return !is_short(begin_, least) && halved(least);
 }
@@ -142,6 +143,7 @@ bool Shortening::halved(double least) {
       --top;
       continue;
     }
+    if (is_over(end_)) return false;
     Part& half = ahead_[++top];
     std::copy_n(some_.begin(), doubts, part.among.begin());
     std::copy_n(some_.begin(), doubts, half.among.begin());
@@ -163,7 +165,9 @@ bool Shortening::is_short(const Look& look, double least) {
 // Return into how many parts to cut the step, so that nothing is passed through.
 int Shortening::parts() {
   const Part& whole = ahead_[0];
+  std::fill(step_.begin(), step_.end(), 0.0);
   for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = path_.first(i);
+  slides_.stretch(step_.data(), dt_);
   double passes = 1.0;
   for (int k = 0; k < whole.count; ++k) {
     const Entry& entry = entries_[whole.among[k]];
@@ -177,15 +181,22 @@ int Shortening::parts() {
 // the acceleration a leaves its chord by no more than a T²/8.
 int Shortening::doubtful(const Look& before, const Look& after, const int* among, int count,
                          int* found) {
-  double all = 0.0;
+  for (auto* values : {&step_, &fast_, &change_, &bent_}) {
+    std::fill(values->begin(), values->end(), 0.0);
+  }
+  const std::vector<bool>& turning = rows_.turning();
+  double turn = 0.0;
   for (int i = 0; i < n_; ++i) {
     const int dof = rows_.dofs()[i];
     step_[dof] = std::abs(after.way[i] - before.way[i]);
     fast_[dof] = path_.speed(i, before.place);
-    turn_[dof] = path_.turn(i, before.place);
-    all += fast_[dof];
+    change_[dof] = path_.turn(i, before.place);
+    if (turning[dof]) turn += fast_[dof];
   }
-  for (const int dof : rows_.dofs()) bent_[dof] = turn_[dof] + all * fast_[dof];
+  for (const int dof : rows_.dofs()) {
+    bent_[dof] = change_[dof] + (turning[dof] ? turn : 2.0 * turn) * fast_[dof];
+  }
+  for (auto* values : {&step_, &fast_, &change_, &bent_}) slides_.stretch(values->data(), 0.0);
   const double time = (after.place - before.place) * dt_;
   int doubts = 0;
   for (int k = 0; k < count; ++k) {
@@ -194,7 +205,7 @@ int Shortening::doubtful(const Look& before, const Look& after, const int* among
     double reach, bend;
     if (entry.pairs != nullptr) {
       reach = entry.pairs->fall(entry.id, step_.data());
-      bend = entry.pairs->bend(entry.id, entry.reach, fast_.data(), turn_.data());
+      bend = entry.pairs->bend(entry.id, entry.reach, fast_.data(), change_.data());
     } else {
       reach = entry.barrier->reach(entry.id, step_.data(), 0.0);
       bend = entry.barrier->reach(entry.id, bent_.data(), 0.0);

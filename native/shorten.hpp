@@ -7,6 +7,7 @@
 #include "collision.hpp"
 #include "kinematics.hpp"
 #include "path.hpp"
+#include "qp.hpp"
 #include "rows.hpp"
 
 namespace rmrc {
@@ -15,22 +16,26 @@ namespace rmrc {
 struct Share {
   double share;  // s of b + s (v − b), with the brake b
   bool passed;   // whether a distance falls below its limit even so
-  bool known;    // false where there are too many steps to rest, which are left to Python
 };
 
 /// Keeps distances at the configuration that a command leads to: rmrc.control.shorten.Shortening.
 class Shortening {
  public:
-  /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit.
+  /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit,
+  /// and `balls` are the first entries of ball joints.
   Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
-             const double* twist, int mocaps);
+             std::vector<int> balls, const double* twist, int mocaps);
 
   /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
   void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
 
+  /// The rows whose barriers are checked.
+  const Rows& rows() const { return rows_; }
+
   /// Return how much of v (n,) keeps all distances after a step of dt, and on the way to rest
-  /// behind it, with the brake (n,).
-  Share share(const double* v, const double* brake, double dt);
+  /// behind it, with the brake (n,); nothing of it where the clock says `end` first.
+  Share share(const double* v, const double* brake, double dt,
+              QPSolver::Clock::time_point end = QPSolver::Clock::time_point::max());
 
   /// Return the kinematics where v (n,) leads in a step of dt, behind a share for the same step.
   const Kinematics& end(const double* v, double dt);
@@ -67,7 +72,7 @@ class Shortening {
     int count = 0;
   };
 
-  bool watch(const double* v, const double* brake, double dt);
+  void watch(const double* v, const double* brake, double dt);
   double guess(const double* v, const double* brake, double high, double dt);
   void blend(const double* v, const double* brake, double share, double dt);
   bool worst(double least);
@@ -80,6 +85,8 @@ class Shortening {
   void move_obstacles(double dt);
 
   const Rows& rows_;
+  Slides slides_;
+  double tolerance_, noise_;  // how far below 0 a distance may be, and may fall by rounding
   MuJoCo mujoco_;
   Kinematics own_;
   ForwardKinematics* kinematics_ = nullptr;
@@ -89,9 +96,10 @@ class Shortening {
   std::vector<const Collision*> pairs_;  // of each block, or null
 
   Path path_;
+  QPSolver::Clock::time_point end_;
   double dt_ = 0.0;
   std::vector<double> command_;                            // (n,)
-  std::vector<double> step_, fast_, turn_, bent_, moved_;  // over all dofs (nv,)
+  std::vector<double> step_, fast_, change_, bent_, moved_;  // over all dofs (nv,)
 
   std::vector<Entry> entries_;
   std::vector<int> all_, some_;

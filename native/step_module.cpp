@@ -23,14 +23,16 @@ BoundStepper::BoundStepper(nb::object engine, nb::object owner, Writing q, Writi
     : engine_(std::move(engine)),
       owner_(std::move(owner)),
       kept_{nb::cast(q), nb::cast(v), nb::cast(v_previous), nb::cast(moving), nb::cast(targets)},
-      dt_(dt),
-      budget_(budget) {
+      dt_(dt) {
   Engine& native = engine_of(engine_);
   const auto nq = static_cast<std::size_t>(native.mujoco().nq);
   const auto nv = static_cast<std::size_t>(native.mujoco().nv);
   if (q.size() != nq || v.size() != nv || v_previous.size() != nv ||
       frozen.size() != static_cast<std::size_t>(native.size())) {
     throw std::invalid_argument("the state of the controller has a wrong size");
+  }
+  for (const int first : quaternions) {
+    require_part(first, 4, static_cast<std::int64_t>(nq), "quaternion");
   }
   std::vector<KeptArray> arrays;
   for (const Reading& array : kept) {
@@ -106,11 +108,12 @@ void bind_stepper(nb::module_& m) {
                     BoundStepper::Writing, double, std::vector<int>, const std::vector<bool>&,
                     double, const std::vector<BoundStepper::Reading>&, BoundStepper::Flags,
                     const BoundStepper::WatchedTasks&, BoundStepper::Reading, double>(),
-           nb::kw_only(), "engine"_a, "owner"_a, "q"_a, "v"_a, "v_previous"_a, "dt"_a,
-           "quaternions"_a, "frozen"_a, "budget"_a, "kept"_a, "moving"_a, "watched"_a,
-           "targets"_a, "tolerance"_a)
-      .def("add_target", &BoundStepper::add_target, "name"_a, "pose"_a, "target"_a, "twist"_a,
-           "feedforward"_a, "moving"_a, "Have a target set by this name.")
+           nb::kw_only(), "engine"_a, "owner"_a, "q"_a.noconvert(), "v"_a.noconvert(),
+           "v_previous"_a.noconvert(), "dt"_a, "quaternions"_a, "frozen"_a, "budget"_a,
+           "kept"_a.noconvert(), "moving"_a.noconvert(), "watched"_a, "targets"_a.noconvert(),
+           "tolerance"_a)
+      .def("add_target", &BoundStepper::add_target, "name"_a, "pose"_a, "target"_a.noconvert(),
+           "twist"_a.noconvert(), "feedforward"_a.noconvert(), "moving"_a.noconvert(), "Have a target set by this name.")
       .def("reset", [](BoundStepper& bound) { bound.progress().reset(); },
            "Forget the progress that was made.")
       .def(

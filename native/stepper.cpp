@@ -39,7 +39,10 @@ Stepper::Stepper(Engine& engine, Progress progress, ControllerState state,
       moving_(moving),
       size_(moving.size + v_begins + 2 * (engine.mujoco().nv + engine.mujoco().nq) +
             engine.size()),
-      from_(engine.mujoco().nq) {
+      from_(engine.mujoco().nq),
+      speed_(engine.size()),
+      steps_(engine.size()),
+      change_(engine.size()) {
   for (const KeptArray& array : kept_) size_ += array.size;
 }
 
@@ -62,7 +65,6 @@ bool Stepper::read(const double* q) {
 
 bool Stepper::step(const double* q, double dt, Summary& summary) {
   const MuJoCo& mujoco = engine_.mujoco();
-  left_ = false;
   if (q == nullptr) {
     std::copy_n(state_.q, mujoco.nq, from_.begin());
   } else if (!read(q)) {
@@ -70,11 +72,6 @@ bool Stepper::step(const double* q, double dt, Summary& summary) {
   }
   std::copy_n(state_.v, mujoco.nv, state_.v_previous);
   const Ending ending = engine_.solve(from_.data(), dt, budget_);
-  left_ = !engine_.finished();
-  if (left_) {
-    ending_ = ending;
-    return false;
-  }
   progress_.update(engine_, engine_.v(), dt);
   summary = {flags(ending), ending, engine_.iterations()};
   dt_ = dt;
@@ -88,10 +85,14 @@ bool Stepper::step(const double* q, double dt, Summary& summary) {
 void Stepper::brake(double dt) {
   std::copy_n(state_.v, engine_.mujoco().nv, state_.v_previous);
   std::fill_n(state_.v, engine_.mujoco().nv, 0.0);
+  const JointLimits& limits = engine_.joint_limits();
+  for (int i = 0; i < engine_.size(); ++i) {
+    speed_[i] = std::abs(state_.v_previous[engine_.dofs()[i]]);
+  }
+  braking(limits.acceleration, limits.balls, speed_.data(), dt, steps_.data(), change_.data());
   for (int i = 0; i < engine_.size(); ++i) {
     const int dof = engine_.dofs()[i];
-    const double before = state_.v_previous[dof];
-    const double most = engine_.joint_limits().acceleration[i] * dt;
+    const double before = state_.v_previous[dof], most = change_[i];
     state_.v[dof] = before - std::min(std::max(before, -most), most);
   }
   progress_.reset();

@@ -49,17 +49,8 @@ class Stepper {
 
   /// Take a step of dt seconds from q (nq,), or from where the last one led to if q is null.
   ///
-  /// Return false, and change nothing, if q is not valid, or the engine has not finished the step.
+  /// Return false, and change nothing, if q is not valid.
   bool step(const double* q, double dt, Summary& summary);
-
-  /// Whether the last call has left a step to Python's engine, which the inputs allow.
-  bool left() const { return left_; }
-
-  /// Have the step that was left taken up by the very engine, in place of solving it once more.
-  void suspend() { engine_.suspend(ending_); }
-
-  /// Have it taken up no more.
-  void drop() { engine_.drop(); }
 
   /// Doubles that the last step is written to: residuals (3), dt, the share, v, the configuration v
   /// leads to,
@@ -100,10 +91,9 @@ class Stepper {
   std::vector<KeptArray> kept_;
   KeptFlags moving_;
   int size_;  // without the rows
-  std::vector<double> from_;  // (nq,)
+  std::vector<double> from_;                    // (nq,)
+  std::vector<double> speed_, steps_, change_;  // of a brake (n,)
   double dt_ = 0.0;
-  bool left_ = false;
-  Ending ending_ = Ending::failed;  // of the step that was left
 };
 
 }  // namespace rmrc

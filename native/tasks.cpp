@@ -86,7 +86,9 @@ void measure_motion(const double* e, double* measures) {
 BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
                      const Stack& stack)
     : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
-      frame_(std::move(frame)) {}
+      frame_(std::move(frame)) {
+  stand_on(frame_);
+}
 
 void BodyFrame::measure(double* measures) const { measure_motion(error(), measures); }
 
@@ -118,7 +120,9 @@ void BodyFrame::differentiate() {
 WorldFrame::WorldFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
                        const Stack& stack)
     : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
-      frame_(std::move(frame)) {}
+      frame_(std::move(frame)) {
+  stand_on(frame_);
+}
 
 void WorldFrame::measure(double* measures) const {
   measures[0] = norm3(error());
@@ -147,7 +151,10 @@ RelativeFrame::RelativeFrame(TermData data, std::vector<double> root, Frame fram
                              const MuJoCo& mujoco, const Stack& stack)
     : RowTerm(std::move(data), std::move(root), united(frame.dofs, base.dofs), mujoco, stack),
       frame_(std::move(frame)),
-      base_(std::move(base)) {}
+      base_(std::move(base)) {
+  stand_on(frame_);
+  stand_on(base_);
+}
 
 void RelativeFrame::measure(double* measures) const { measure_motion(error(), measures); }
 
@@ -196,6 +203,7 @@ Axis::Axis(TermData data, std::vector<double> root, Frame frame, const double* a
       frame_(std::move(frame)),
       at_point_(at_point) {
   std::copy_n(axis, 3, axis_);
+  stand_on(frame_);
 }
 
 void Axis::measure(double* measures) const {
@@ -268,20 +276,24 @@ void Axis::align(double* T, double* direction) {
 }
 
 CentreOfMass::CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
-                           std::vector<double> shares, std::vector<const double*> centres,
-                           const MuJoCo& mujoco, const Stack& stack)
+                           std::vector<Subtree> subtrees, const MuJoCo& mujoco,
+                           const Stack& stack)
     : RowTerm(std::move(data), std::move(root), dofs_of(moved), mujoco, stack),
       moved_(std::move(moved)),
-      shares_(std::move(shares)),
-      centres_(std::move(centres)) {
+      subtrees_(std::move(subtrees)) {
+  for (const Subtree& subtree : subtrees_) carried_ |= subtree.carrier != nullptr;
   std::stable_partition(moved_.begin(), moved_.end(),
                         [&](const MovedMass& part) { return stack.place[part.dof] >= 0; });
 }
 
 void CentreOfMass::differentiate() {
   std::copy_n(data_.target, 3, error());
-  for (std::size_t k = 0; k < shares_.size(); ++k) {
-    for (int i = 0; i < 3; ++i) error()[i] -= shares_[k] * centres_[k][i];
+  for (const Subtree& subtree : subtrees_) {
+    for (int i = 0; i < 3; ++i) error()[i] -= subtree.share * subtree.point[i];
+    if (subtree.carrier == nullptr) continue;
+    double velocity[3];
+    velocity_at(subtree.carrier, subtree.reference, subtree.point, velocity);
+    for (int i = 0; i < 3; ++i) drift_[i] += subtree.share * velocity[i];
   }
   double *out = jacobian_.data(), *world = world_.data();
   for (const MovedMass& part : moved_) {

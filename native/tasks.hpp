@@ -9,6 +9,9 @@
 
 namespace rmrc {
 
+/// out = v + ω × (p − o) (3,), of a twist [v; ω] about o.
+void velocity_at(const double* twist, const double* origin, const double* point, double* out);
+
 /// What the terms of a problem write into and read from, arrays of Python's.
 struct Stack {
   double* error;        // e of all terms
@@ -16,6 +19,7 @@ struct Stack {
   double* jacobian;     // J of the terms with rows (row_count, nv)
   const double* v_previous;  // (nv,)
   const int* place;          // column of each dof in the program (nv,); −1 where it stands still
+  int errors = 0, rows = 0;  // how long e is, and how many rows J has
 };
 
 /// A part of an error that acts on its task only up to a length.
@@ -34,12 +38,13 @@ struct TermData {
   std::vector<Clamp> clamps;
 };
 
-/// A site, body or geom: where MuJoCo writes its pose, and the dofs that move it.
+/// A site, body or geom: where MuJoCo writes its pose, and what moves it.
 struct Frame {
   const double* position;   // (3,)
   const double* rotation;   // (9,)
-  const double* reference;  // (3,): the point that cdof refers to
+  const double* reference;  // (3,): the origin of its tree's root, which cdof and `carrier` refer to
   std::vector<int> dofs;
+  const double* carrier = nullptr;  // velocity (6,) of the mocap body that its tree stands on
 };
 
 /// A dof on the way from the world to what a term draws.
@@ -75,8 +80,8 @@ class RowTerm {
   /// Return xᵀBx (rows,).
   double weighed_square(const double* x) const;
 
-  /// out = J v (rows,) for v of the program (n,).
-  void multiply(const double* v, double* out) const;
+  /// Return element r of J v, for v of the program (n,).
+  double rate_of(int r, const double* v) const;
 
   /// Tell which dofs of the program the error bends with, in their order.
   void bend(const std::vector<WayJoint>& way);
@@ -84,7 +89,7 @@ class RowTerm {
   /// X ← X + max(dt K, least) times the row sums of |C| (n,), at ẋ: rmrc.qp.curvature.
   void add_curvature(const double* rate, double dt, double least, double* X);
 
-  /// Write the true errors, the distance and the angle, or one number twice.
+  /// Write the true errors (2,), the distance and the angle, or one number twice.
   virtual void measure(double* measures) const;
 
   /// driven ← driven + Wᵀ S x and way ← way + Wᵀ S x / gain (n,), for x = ẋ less its feed-forward.
@@ -112,6 +117,9 @@ class RowTerm {
   /// J ← T J_w for T (rows, 6).
   void turn(const double* T);
 
+  /// Have ẋ_ff written at every step, for a mocap body may carry the frame.
+  void stand_on(const Frame& frame) { carried_ |= frame.carrier != nullptr; }
+
   /// W = S J.
   void weigh();
 
@@ -127,6 +135,9 @@ class RowTerm {
   int stride_;
   std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
   std::vector<double> world_;     // J_w (6, stride): how the dofs move the frame
+  bool carried_ = false;           // whether mocap bodies carry any of it
+  std::vector<double> drift_;      // −∂e/∂t (rows,) of the mocap bodies
+  double carried_by_[6] = {};      // velocity of what mocap bodies carry of it, as J_w
 
  private:
   template <int rows>
@@ -211,18 +222,22 @@ struct MovedMass {
   const double* reference;  // (3,)
 };
 
+/// A subtree, whose share of the mass has its centre at `point`.
+struct Subtree {
+  double share;
+  const double *point, *reference, *carrier;  // of the latter two see `Frame`
+};
+
 /// e = c* − Σ share c_i over subtrees: a `com` task.
 class CentreOfMass final : public RowTerm {
  public:
   CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
-               std::vector<double> shares, std::vector<const double*> centres,
-               const MuJoCo& mujoco, const Stack& stack);
+               std::vector<Subtree> subtrees, const MuJoCo& mujoco, const Stack& stack);
 
  private:
   void differentiate() override;
   std::vector<MovedMass> moved_;
-  std::vector<double> shares_;
-  std::vector<const double*> centres_;
+  std::vector<Subtree> subtrees_;
 };
 
 /// e = offset − Σ c_i q_i and J = c: a `coupling` task.

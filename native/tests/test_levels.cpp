@@ -110,7 +110,8 @@ void test_levels(bool preserved) {
     const std::vector<rmrc::Level> levels = problem.levels(preserved);
     const rmrc::Program limits = problem.limits();
     const long before = allocations;
-    const bool found = cascade.solve(levels, limits, rmrc::QPSolver::Clock::time_point::max());
+    const bool found = cascade.solve(levels, limits, rmrc::QPSolver::Clock::time_point::max()) ==
+                       rmrc::Status::solved;
     expect(allocations == before, "called for memory", k);
     if (!found) continue;
     ++solved;
@@ -212,7 +213,7 @@ void test_loop() {
   rmrc::Loop loop({0, 7, 1.0, nullptr, nullptr, &moving, {}}, std::vector<double>(7, 1.0),
                   {{0, true, 0.7, {end(0, 0.3, 0.1), end(1, 0.2, 0.4)}}},
                   {{6, {{{0, 0, 1.0}}, 0.2}, {{{1, 1, 2.0}}, 0.1}, {0.1, 0.5, -0.3, 0.2, 0.4}}},
-                  mujoco, stack);
+                  std::vector<double>(7, 1.0), {0, 0, 0, 1, 1, 1, 1}, mujoco, stack);
   const auto evaluated = [&](double first, double second) {
     linkage.q[0] = first;
     linkage.q[1] = second;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "allocations.hpp"
+#include "least_violation.hpp"
 #include "qp.hpp"
 
 namespace {
@@ -146,6 +147,77 @@ void check_sizes(int n, int rows, int equalities, std::mt19937_64& random) {
   }
 }
 
+// ‖[s; t]‖ at v, and by how much it passes what no slack is for, the box and what the brake keeps.
+struct Violation {
+  double least, beyond;
+};
+
+Violation violation(const Arrays& p, const std::vector<double>& v,
+                    const std::vector<double>& brake) {
+  double square = 0.0, beyond = 0.0;
+  for (int i = 0; i < p.n; ++i) beyond = std::max({beyond, p.lb[i] - v[i], v[i] - p.ub[i]});
+  for (int r = 0; r < p.rows; ++r) {
+    const double at = product(p.C.data() + r * p.n, v);
+    const double braked = product(p.C.data() + r * p.n, brake);
+    beyond = std::max({beyond, std::min(p.lo[r], braked) - at, at - std::max(p.hi[r], braked)});
+    const double by = std::max({p.lo[r] - at, at - p.hi[r], 0.0});
+    square += by * by;
+  }
+  for (int r = 0; r < p.equalities; ++r) {
+    const double by = product(p.E.data() + r * p.n, v) - p.f[r];
+    square += by * by;
+  }
+  return {std::sqrt(square), beyond};
+}
+
+// Rows that ask for more than the box allows: no v beside the one found violates them less.
+void check_relaxed(int n, int rows, int equalities, std::mt19937_64& random) {
+  constexpr double moved = 1e-3, rounding = 1e-8;
+  std::normal_distribution<double> normal;
+  Arrays p(n, rows, equalities);
+  rmrc::LeastViolation least(n, rows, equalities);
+  std::vector<double> brake(n), v(n), lower(rows), upper(rows), right(equalities);
+  for (int k = 0; k < 20; ++k) {
+    fill(p, random, false);
+    for (int r = 0; r < rows; ++r) {
+      p.lo[r] = normal(random);
+      p.hi[r] = infinity;
+    }
+    for (double& value : p.f) value = 5.0 * normal(random);
+    for (int i = 0; i < n; ++i) {
+      p.lb[i] = std::max(p.lb[i], -2.0);
+      p.ub[i] = std::min(p.ub[i], 2.0);
+      brake[i] = std::min(std::max(0.0, p.lb[i]), p.ub[i]);
+    }
+    const long before = allocations;
+    const bool found =
+        least.find(p.program(), brake.data(), rmrc::QPSolver::Clock::time_point::max());
+    expect(found, "the least violation is not found", n, rows, k);
+    least.relax(lower.data(), upper.data(), right.data());
+    expect(allocations == before, "the least violation has called for memory", n, rows, k);
+    v.assign(least.v(), least.v() + n);
+    const Violation best = violation(p, v, brake);
+    expect(std::abs(best.least - least.violation()) <= rounding, "misjudged", n, rows, k);
+    expect(best.beyond <= rounding, "beyond what the brake keeps", n, rows, k);
+    for (int r = 0; r < rows; ++r) {
+      expect(product(p.C.data() + r * n, v) >= lower[r], "not feasible once relaxed", n, rows, k);
+    }
+    for (int trial = 0; trial < 50; ++trial) {
+      std::vector<double> other = v;
+      const double share = trial % 2 == 0 ? moved : 1.0;  // beside it, or on the way to the brake
+      for (int i = 0; i < n; ++i) {
+        const double step = trial % 2 == 0 ? normal(random) : 0.02 * trial * (brake[i] - v[i]);
+        other[i] = std::min(std::max(v[i] + share * step, p.lb[i]), p.ub[i]);
+      }
+      const Violation there = violation(p, other, brake);
+      expect(there.beyond > 0.0 || there.least >= best.least - rounding, "not the least", n, rows, k);
+    }
+    expect(!least.find(p.program(), brake.data(), rmrc::QPSolver::Clock::time_point::min()) ||
+               best.least == 0.0,
+           "found without time", n, rows, k);
+  }
+}
+
 }  // namespace
 
 // The seed of the programs may be given: other seeds, other programs.
@@ -157,6 +229,11 @@ int main(int count, char** arguments) {
     check_sizes(n, 3 * n, n / 3, random);
   }
   check_sizes(100, 40, 12, random);
+  for (const int n : {1, 2, 7, 24}) {
+    check_relaxed(n, 0, n, random);
+    check_relaxed(n, 2 * n, 0, random);
+    check_relaxed(n, 8 * n, 2, random);
+  }
   std::printf("%d failures\n", failures);
   return failures == 0 ? 0 : 1;
 }

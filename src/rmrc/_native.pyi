@@ -1,6 +1,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,7 +54,12 @@ class Frame:
     """Where the pose of a frame stands, and what moves it."""
 
     def __init__(
-        self, position: Array, rotation: Array, reference: Array, dofs: list[int]
+        self,
+        position: Array,
+        rotation: Array,
+        reference: Array,
+        dofs: list[int],
+        carrier: Array | None,
     ) -> None: ...
 
 _Anchorage = tuple[Frame, Array, list[float], list[float]]
@@ -66,8 +72,8 @@ class Engine:
         self,
         *,
         functions: Sequence[int],
-        model: int,
-        data: int,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
         qpos: Array,
         cdof: Array,
         error: Array,
@@ -91,7 +97,8 @@ class Engine:
             list[float],
             list[float],
             list[float],
-            float,
+            list[float],
+            list[int],
         ],
         H: Array,
         g: Array,
@@ -109,7 +116,7 @@ class Engine:
         self,
         rows: TermRows,
         moved: list[tuple[int, float, Array, Array]],
-        parts: list[tuple[float, Array]],
+        parts: list[tuple[float, Array, Array, Array | None]],
     ) -> None: ...
     def add_coupling(
         self, rows: TermRows, by_coordinate: list[float], by_dof: list[float], offset: float
@@ -119,6 +126,8 @@ class Engine:
         rows: TermRows,
         pairs: list[tuple[int, bool, float, _Anchorage, _Anchorage]],
         polynomials: list[tuple[int, _Combination, _Combination, list[float]]],
+        scale: list[float],
+        angular: list[bool],
     ) -> None: ...
     def add_foreign(self, rows: TermRows) -> None: ...
     def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
@@ -135,9 +144,11 @@ class Engine:
     def assemble(self, dt: float) -> bool: ...
     def solve(
         self, q: Array | None, dt: float, seconds: float, solution: Array
-    ) -> tuple[str, int, float, float, float, bool, float, bool, bool]: ...
+    ) -> tuple[str, int, float, float, float, bool, float, bool]: ...
     @property
-    def raised(self) -> list[float] | None: ...
+    def moved(self) -> tuple[list[float], list[float], list[float]] | None: ...
+    @property
+    def boxed(self) -> bool: ...
     def limit(self, rows: Rows, shortening: Shortening | None) -> None: ...
     def follow(self, kinematics: ForwardKinematics) -> None: ...
     def forget(self) -> None: ...
@@ -176,7 +187,7 @@ def scaled(engine: Engine) -> bool: ...
 class Kinematics:
     """Where the arrays of an mjData stand."""
 
-    def __init__(self, data: int, arrays: Mapping[str, Array]) -> None: ...
+    def __init__(self, data: mujoco.MjData, arrays: Mapping[str, Array]) -> None: ...
 
 class Rows:
     """The rows of a step, in the arrays that it is given."""
@@ -195,6 +206,14 @@ class Rows:
         distance: Array,
         slope: Array,
         drift: Array,
+    ) -> None: ...
+    def know(
+        self,
+        *,
+        resolution: float,
+        turning: list[bool],
+        slides: list[tuple[int, int, float, float, int, list[int]]],
+        twist: Array,
     ) -> None: ...
     def add_speed(
         self,
@@ -238,10 +257,16 @@ class Shortening:
     """How much of a command may be carried out."""
 
     def __init__(
-        self, *, rows: Rows, own: Kinematics, deceleration: list[float], twist: Array
+        self,
+        *,
+        rows: Rows,
+        own: Kinematics,
+        deceleration: list[float],
+        balls: list[int],
+        twist: Array,
     ) -> None: ...
     def follow(self, kinematics: ForwardKinematics) -> None: ...
-    def share(self, v: Array, brake: Array, dt: float) -> tuple[float, bool] | None: ...
+    def share(self, v: Array, brake: Array, dt: float, seconds: float) -> tuple[float, bool]: ...
 
 class Record:
     """A step as it was taken."""
@@ -316,7 +341,5 @@ class Batch:
     ) -> None: ...
     def step(
         self, q: Array | None, dt: float, v: Array, following: Array, flags: NDArray[np.int32]
-    ) -> int: ...
+    ) -> None: ...
     def read(self, q: Array) -> None: ...
-    def lend(self, element: int) -> None: ...
-    def take_back(self, element: int) -> bool: ...

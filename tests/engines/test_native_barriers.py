@@ -44,7 +44,7 @@ LADDER = 3e-4
 """rad/s or m/s, of v where rows were relaxed, or given slack of 1e-9 because DAQP did not find the
 little room that they left; and where a command shortened since rests on that."""
 KEPT = 1e-6
-"""m or rad; `rmrc.qp.rows.PASSED`: MuJoCo's distances of smooth geoms are no finer."""
+"""m or rad; `extents.FINEST`: MuJoCo's distances of smooth geoms are no finer."""
 FLAT = 1e-12
 """Largest element of a slope that is 0 but for rounding."""
 
@@ -237,49 +237,21 @@ def test_the_same_rows_and_steps(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["all that stops", "balls, planes and pairs"])
-def test_shortened_and_corrected_commands_are_the_extensions_own(
+def test_the_rungs_of_the_ladder_are_the_extensions_own(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     twins = Twins(rmrc.compile(CASES[name](tmp_path)))
-    monkeypatch.setattr(twins.native, "_finished", unreached)
+    for rung in ("_best", "_descend_ladder", "_at_distance"):
+        monkeypatch.setattr(twins.native, rung, unreached)
     for _ in wander(twins, 400):
         twins.step()
+    assert twins.rare > 10
     assert twins.shortened > 10
     assert twins.corrected > 5
 
 
 def unreached(*_: object) -> Solution:
     raise AssertionError("a step was left to Python")
-
-
-def test_a_step_is_taken_up_where_the_extension_has_left_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The rungs of the ladder are Python's: what has been solved before is not solved again."""
-    problem = rmrc.compile(CASES["panda and an obstacle"](tmp_path))
-    twins, left = Twins(problem), 0
-    controller = rmrc.Controller(problem, engine="native")
-    engine, evaluation = controller.engine, controller.engine.evaluation
-    solve = engine.solve
-
-    def go_on(q: Array, v_previous: Array, dt: float) -> Solution:
-        nonlocal left
-        left += 1
-        evaluation.targets[:] = np.nan  # nothing would come of it if it was solved again
-        solution = solve(q, v_previous, dt)
-        assert np.isfinite(solution.v).all()
-        return solution
-
-    monkeypatch.setattr(engine, "solve", go_on)
-    assert controller.stepper is not None
-    for _ in wander(twins, 200):
-        evaluation.targets[:] = twins.engine.evaluation.targets
-        evaluation.data.mocap_pos[:] = twins.engine.evaluation.data.mocap_pos
-        evaluation.obstacle_twist[:] = twins.engine.evaluation.obstacle_twist
-        controller._q[:], controller._v[:] = twins.python._q, twins.python._v
-        controller.step()
-        twins.step()
-    assert left
 
 
 @pytest.mark.parametrize("limits", [{}, {"acceleration": {"default": 15.0}}], ids=["", "stopping"])

@@ -270,3 +270,40 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         solve(qp, QPSolver(7, 1, 0))
     with pytest.raises(ValueError, match="range"):
         QPSolver(0)
+
+
+def beyond_a_double() -> list[tuple[np.ndarray, ...]]:
+    """Return H, g, lb and ub of programs whose way to a bound has no length."""
+    off = 9.783267071805483e-19
+    return [
+        (
+            np.array([[1e-320, off], [off, 7.483329573704379e-19]]),
+            np.array([16.78487109644893, 80.8144389661612]),
+            np.array([-0.000880222938160904, -0.004431981058865923]),
+            np.array([5.361682141447186, 70.08871684328189]),
+        ),
+        (np.diag([1.0, -1.0]), np.ones(2), np.full(2, -1.0), np.ones(2)),
+        (np.diag([5e-324, 5e-324]), np.ones(2), np.full(2, -1.0), np.ones(2)),
+        (np.zeros((2, 2)), np.ones(2), np.full(2, -1.0), np.ones(2)),
+        (np.eye(2), np.full(2, 1e300), np.full(2, -1e-300), np.full(2, 1e-300)),
+        (np.full((2, 2), 1e300), np.ones(2), np.full(2, -1.0), np.ones(2)),
+        (np.full((2, 2), np.nan), np.ones(2), np.full(2, -1.0), np.ones(2)),
+        (np.eye(2), np.ones(2), np.full(2, np.nan), np.ones(2)),
+    ]
+
+
+@pytest.mark.parametrize("given", beyond_a_double())
+def test_what_has_no_optimum_is_said_and_forgotten(given: tuple[np.ndarray, ...]) -> None:
+    H, g, lb, ub = given
+    none = (np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros(0))
+    sane = (np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([4.0, -0.2]), -np.ones(2), np.ones(2))
+    cold = QPSolver(2).solve(*sane, *none)
+    solver = QPSolver(2)
+    solver.solve(*sane, *none)
+    v, *_, status = solver.solve(H, g, lb, ub, *none)
+    assert status in {each.value for each in SolveStatus}
+    assert np.isfinite(v).all()
+    assert status == "solved" or not v.any()
+    again = solver.solve(*sane, *none)
+    assert again[5] == cold[5] == "solved"
+    assert np.abs(again[0] - cold[0]).max() < SAME_VELOCITY

@@ -137,32 +137,6 @@ def test_a_name_that_is_not_interned_has_the_deadline_of_its_own_step() -> None:
     assert controller.step(**named).status is not Status.DEADLINE
 
 
-def test_an_interrupted_step_is_not_taken_up_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What C++ leaves to Python is gone with an interrupt: the world may be another by then."""
-    planes = [
-        {"frame": {"site": "hand"}, "normal": [0, 0, side], "offset": side * height}
-        for side, height in ((1, 0.9), (-1, 0.1))
-    ]  # which leave the hand no place, so that all steps are left to Python
-    limits = {"workspace": planes}
-    scene = str(REPOSITORY / "scenes" / "panda.xml")
-    problem = rmrc.compile(config(scene, [HAND], dt=0.01, limits=limits))
-    controller, fresh = Controller(problem), Controller(problem)
-    if controller.stepper is None:
-        pytest.skip("the native extension is not built")
-
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(controller.engine, "solve", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            controller.step()
-    q = controller.q.tolist()
-    for each in (controller, fresh):
-        each.set_target("hand", POSITION, QUATERNION)
-    np.testing.assert_array_equal(controller.step(q).v, fresh.step(q).v)
-
-
 def test_what_python_asks_of_a_method_and_of_an_object(controller: Controller) -> None:
     assert typing.get_type_hints(Controller.step)["return"] is Step
     step = controller.step()

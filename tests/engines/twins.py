@@ -100,9 +100,11 @@ def difference(v: Array, expected: Array) -> float:
 
 def is_corrected(native: Step, python: Step) -> bool:
     """Return whether distances at the end of the step had a say in a command."""
-    engines = native.moment.engine, python.moment.engine
-    lower, other = (engine.assembly.qp.lo for engine in engines)
-    return native.moment.share < 1.0 or not np.array_equal(lower, other)
+    for engine in (native.moment.engine, python.moment.engine):
+        asked, lower = engine.rows.lower, engine.assembly.qp.lo
+        if asked.size == lower.size and (lower > asked).any():
+            return True
+    return native.moment.share < 1.0
 
 
 def assert_better(native: Step, python: Step) -> None:

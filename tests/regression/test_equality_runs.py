@@ -266,3 +266,40 @@ def test_real_grippers_move_as_their_equalities_say(
     assert moved[0] == pytest.approx(moved[1], abs=CLOSED)
     # 100 steps of 2 ms; the damping λ² = 1e-4 counts for both fingers beside the task's weight 1.
     assert moved[0] == pytest.approx(0.2 * rate, rel=1e-3)
+
+
+COUPLED = 12
+# Of what a coupling holds, rad: the rounding of 13 coordinates.
+COUPLING_ROUNDING = 1e-12
+
+
+def test_a_loop_of_many_rows_holds_them_all(tmp_path: Path) -> None:
+    """12 joints that turn as the first: more rows than a pose has."""
+    links = "".join(
+        f'<body name="b{k}" pos="{k} 0 0"><joint name="j{k}" axis="0 1 0"/><geom size=".1"/>'
+        f'<site name="s{k}" pos="0 0 .3"/></body>'
+        for k in range(COUPLED + 1)
+    )
+    equal = "".join(f'<joint joint1="j{k}" joint2="j0"/>' for k in range(1, COUPLED + 1))
+    scene = tmp_path / "coupled.xml"
+    scene.write_text(f"<mujoco><worldbody>{links}</worldbody><equality>{equal}</equality></mujoco>")
+    hand = HAND | {"frame": {"site": "s0"}, "B": {"position": 1.0, "orientation": 0.0}}
+    line = {"path": "line", "to": {"position": [0.1, 0.0, 0.28284]}, "duration": 0.5}
+    given = config(str(scene), [hand, LOOP], targets={"hand": line}, duration=0.7, dt=0.002)
+    runs = {}
+    for engine in ("native", "python"):
+        problem = rmrc.compile(given)
+        controller = rmrc.Controller(problem, engine=engine)
+        q = problem.start
+        for _ in range(300):
+            controller.set_target("hand", position=[0.1, 0.0, 0.28284])
+            step = controller.step()
+            q = step.q
+            assert np.abs(q[1:] - q[0]).max() < COUPLING_ROUNDING
+        runs[engine] = q
+        explained = {task.name: task for task in step.explain().tasks}
+        assert explained["loop"].units == ("rad",)
+        assert len(explained["loop"].asked) == 1
+    assert np.abs(runs["native"] - runs["python"]).max() < CLOSED
+    reached = rmrc.compile(given).forward(runs["native"])["hand"][:3, 3]
+    assert np.linalg.norm(reached - [0.1, 0.0, 0.28284]) < 1e-3

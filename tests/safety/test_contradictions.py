@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import rmrc
 from rmrc import Problem, Status
 from rmrc.control.engine import PythonEngine
-from rmrc.qp.rows import PASSED
+from rmrc.problem.limits.extents import FINEST as PASSED
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""A short soak: 20,000 random steps, each finite, inside its limits, and certified or reported."""
+"""A short soak: random steps in scenes and random trees, each held to what a step promises."""
 
 from pathlib import Path
 
@@ -6,10 +6,11 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from soaking.episode import Episode, Figures
-from soaking.scenes import SCENES, Scene
+from soaking.episode import Episode
+from soaking.figures import Figures
+from soaking.scenes import SCENES, TREE_EPISODES, Scene, Trees
 
-STEPS = 20_000
+STEPS = 10_000
 HERE = [scene for scene in SCENES if not scene.source.startswith("menagerie:")]
 CONFIGURATIONS = 8
 """Of each scene."""
@@ -38,6 +39,22 @@ def test_no_step_breaks_a_promise(scene: Scene, tmp_path: Path) -> None:
     assert figures.steps == CONFIGURATIONS * EACH
     assert figures.braking > 0
     assert len(figures.statuses) > 3
+
+
+SEEDS = 160
+"""Of random trees: four trees to a part, each with as many configurations."""
+STEPS_OF_TREE = 30
+
+
+@pytest.mark.parametrize("first", range(0, SEEDS, 4 * TREE_EPISODES))
+def test_no_step_breaks_a_promise_in_random_trees(first: int, tmp_path: Path) -> None:
+    figures = Figures()
+    for seed in range(first, first + 4 * TREE_EPISODES):
+        for _ in Episode(Trees(), seed, tmp_path).run(STEPS_OF_TREE, figures):
+            pass
+    assert figures.steps == 4 * TREE_EPISODES * STEPS_OF_TREE
+    assert len(figures.statuses) > 3
+    assert len(figures.engines) == 2
 
 
 def test_a_brake_that_passes_a_distance_on_its_way_says_so(tmp_path: Path) -> None:

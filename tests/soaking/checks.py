@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 import rmrc
 from rmrc.control.step import Status, Step
-from rmrc.problem.limits.collision import CollisionPairs
-from rmrc.problem.limits.workspace import WorkspacePlanes
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import QP, Solution, SolveStatus
+from soaking.contract import Contract
+from soaking.drawer import Array
 
-Array = NDArray[np.float64]
 Pairs = NDArray[np.intp]
 
 EXACT = 1e-9
@@ -24,12 +23,17 @@ DEEP = 0.02
 """Share of the depth by which the depth of an overlap is known."""
 ROUNDING = 4.0 * np.finfo(float).eps
 """Share of a number by which sums of it may be off."""
+RANK = 1e-5
+"""Share of the largest singular value below which constraints may count as dependent."""
 AT_REST = 1e-12
 """rad/s and rad/s² up to which a joint stands still."""
 
 TOLERANCE = {
     "finite": 0.0,
     "still": 0.0,
+    "object": 0.0,
+    "integrated": 0.0,
+    "late": 0.0,
     "brake": EXACT,
     "velocity": EXACT,
     "acceleration": EXACT,
@@ -37,9 +41,11 @@ TOLERANCE = {
     "position": EXACT,
     "return": EXACT,
     "speed": MEASURED,
+    "ball": MEASURED,
     "workspace": MEASURED,
     "distance": MEASURED,
     "equality": MEASURED,
+    "loop": MEASURED,
     "certificate": MEASURED,
     "residual": MEASURED,
     "reported": 0.0,
@@ -58,44 +64,51 @@ class Moment:
     a: Array
     """Acceleration (nv,) that jerks count from."""
     dt: float
-    twist: Array
-    """Velocities of the mocap bodies (nmocap, 6)."""
+    mocap: tuple[Array, Array, Array]
+    """Positions, quaternions and twists of the mocap bodies (nmocap, ·)."""
     braking: bool
     """Whether what came in leaves nothing but to brake."""
     invalid: bool
     """Whether something that came in is not valid."""
+    overtime: float = 0.0
+    """Time in s that the step took beyond what it may."""
 
 
-def carried(data: mujoco.MjData, twist: Array, dt: float) -> tuple[Array, Array]:
+def carried(position: Array, quaternion: Array, twist: Array, dt: float) -> tuple[Array, Array]:
     """Return the positions and quaternions of the mocap bodies after a step of dt."""
-    quaternions = data.mocap_quat.copy()
+    quaternions = quaternion.copy()
     for quaternion, rate in zip(quaternions, twist[:, 3:], strict=True):
         turn, angle = np.empty(4), float(np.linalg.norm(rate))
         mujoco.mju_axisAngle2Quat(turn, rate / (angle or 1.0), angle * dt)
         mujoco.mju_mulQuat(quaternion, turn, quaternion.copy())
-    return data.mocap_pos + twist[:, :3] * dt, quaternions
+    return position + twist[:, :3] * dt, quaternions
 
 
 class Checker:
     """Measures by how much steps of one problem pass their limits."""
 
-    def __init__(self, problem: Problem):
-        self._problem, self._model = problem, problem.model
+    def __init__(self, problem: Problem, contract: Contract):
+        self._problem, self._model, self._contract = problem, problem.model, contract
         self._data = mujoco.MjData(problem.model)
         self._calm = np.zeros(problem.dofs.size, dtype=bool)
         """The joints that have stood still inside their range since the last disturbance."""
-        pairs = [limit for limit in problem.barriers if isinstance(limit, CollisionPairs)]
-        self._pairs = pairs[0].geoms if pairs else np.zeros((0, 2), dtype=np.intp)
-        self._d_min = pairs[0].d_min if pairs else 0.0
-        radius = problem.model.geom_rbound[self._pairs]
+        model, config = problem.model, problem.config
+        self._pairs, self._d_min = contract.pairs, contract.d_min
+        radius = model.geom_rbound[self._pairs]
         # A plane has no bounding sphere, and is always near.
         self._near = np.where((radius > 0.0).all(axis=1), radius.sum(axis=1), np.inf)
-        self._planes = [
-            plane
-            for limit in problem.barriers
-            if isinstance(limit, WorkspacePlanes)
-            for plane in limit.planes
+        self._kept = {pair for barrier in problem.barriers for pair in _pairs_of(barrier)}
+        """The pairs that the package has not left out."""
+        self._planes = config.limits.workspace
+        self._speeds = [
+            (task.frame, config.limits.speed[task.name])
+            for task in config.tasks
+            if task.type == "frame" and task.name in config.limits.speed
         ]
+        hard = [task for task in config.tasks if getattr(task, "hard", False)]
+        self._loop = hard[0] if len(hard) == 1 and hard[0].type == "loop" else None
+        """The task whose equalities are the only ones, if there is such."""
+        self._fixed = np.flatnonzero(contract.object)
         self._certified = not problem.strict and not any(term.preserve for term in problem.terms)
 
     def disturb(self) -> None:
@@ -107,7 +120,8 @@ class Checker:
         finite = all(np.isfinite(part).all() for part in (step.v, step.q, step.solution.v))
         if not finite:
             return {"finite": np.inf}
-        found = {"finite": 0.0, **self._joints(moment, step.v), **self._ranges(moment, step)}
+        found = {"finite": 0.0, "late": moment.overtime, **self._carried_out(moment, step)}
+        found |= self._joints(moment, step.v) | self._ranges(moment, step)
         flags = step.flag_bits
         reported = flags >> Status.INVALID_INPUT & 1 or flags >> Status.STALE & 1
         found["reported"] = float(bool(reported) != (moment.invalid or moment.braking))
@@ -115,9 +129,26 @@ class Checker:
             self._calm[:] = False
             found["brake"] = self._brake(moment, step.v)
             return found
-        found |= self._rows(moment, step, controller)
+        found |= self._rows(moment, step) | self._closing(moment, step)
         found |= self._optimum(step, controller)
         return found
+
+    def _carried_out(self, moment: Moment, step: Step) -> dict[str, float]:
+        """Return how far q is from where v leads, and how far objects have moved."""
+        model, q = self._model, moment.q.copy()
+        mujoco.mj_integratePos(model, q, step.v, moment.dt)
+        # A measured quaternion is as long as its rounding says; beyond that both are MuJoCo's.
+        apart = np.abs(step.q - q) - 2.0 * ROUNDING * np.maximum(np.abs(q), 1.0)
+        held = np.isin(model.dof_jntid, model.dof_jntid[self._fixed])
+        still = np.zeros(model.nq, dtype=bool)
+        for joint in np.unique(model.dof_jntid[held]):
+            width = {0: 7, 1: 4}.get(int(model.jnt_type[joint]), 1)
+            still[model.jnt_qposadr[joint] :][:width] = True
+        moved = np.abs(step.q - moment.q)[still] - 2.0 * ROUNDING
+        return {
+            "integrated": max(float(apart.max()), 0.0),
+            "object": max(np.abs(step.v[self._fixed]).max(initial=0.0), moved.max(initial=0.0)),
+        }
 
     def _joints(self, moment: Moment, v: Array) -> dict[str, float]:
         """Return the violations of what limits the velocity of each joint.
@@ -169,62 +200,129 @@ class Checker:
         return found
 
     def _brake(self, moment: Moment, v: Array) -> float:
-        """Return how far a command is from what braking at the acceleration limit leaves."""
-        dofs = self._problem.dofs
-        left = np.abs(moment.v[dofs]) - self._problem.box.acceleration * moment.dt
-        expected = np.sign(moment.v[dofs]) * np.maximum(left, 0.0)
-        return float(np.abs(v[dofs] - expected).max())
+        """Return how far a command is from what braking at the acceleration limit leaves.
 
-    def _rows(self, moment: Moment, step: Step, controller: rmrc.Controller) -> dict[str, float]:
-        """Return the violations of frame speeds, planes and distances."""
-        problem, flags = self._problem, step.flag_bits
-        if flags >> Status.RELAXED & 1 or not (problem.speeds or problem.barriers):
+        The rates of a ball joint may keep their proportions: then the one that takes longest brakes
+        at its limit, and the others less, but none gains speed.
+        """
+        dofs, model = self._problem.dofs, self._model
+        before, v, limit = moment.v[dofs], v[dofs], self._problem.box.acceleration * moment.dt
+        expected = np.sign(before) * np.maximum(np.abs(before) - limit, 0.0)
+        excess = np.abs(v - expected)
+        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)):
+            three = np.flatnonzero(model.dof_jntid[dofs] == joint)
+            if not three.size:
+                continue
+            others = np.delete(three, np.argmax(np.abs(before[three]) / limit[three]))
+            low, high = np.sort([expected[others], before[others]], axis=0)
+            excess[others] = np.maximum(low - v[others], v[others] - high)
+        return float(excess.max())
+
+    def _rows(self, moment: Moment, step: Step) -> dict[str, float]:
+        """Return the violations of frame speeds, planes, angles and distances.
+
+        A pair that the package has left out, as no configuration keeps it apart, may come nearer
+        where it is too near already.
+        """
+        flags, contract = step.flag_bits, self._contract
+        asked = self._speeds or self._planes or contract.balls or self._pairs.size
+        if flags >> Status.RELAXED & 1 or not asked:
             return {}
-        obstacles = controller.engine.evaluation.data
-        self._move_to(moment.q, obstacles.mocap_pos, obstacles.mocap_quat)
+        position, quaternion, twist = moment.mocap
+        self._move_to(moment.q, position, quaternion)
         found = {}
-        if not flags >> Status.MAX_ITER & 1:
+        # The last rungs of the ladder keep the box and the distances alone.
+        if self._speeds and not (flags >> Status.MAX_ITER & 1 or flags >> Status.DEADLINE & 1):
             found["speed"] = self._speed(step.v)
-        heights = self._heights()
+        heights, angles = self._heights(), self._angles()
         pairs, distances = self._distances()
-        self._move_to(step.q, *carried(obstacles, moment.twist, moment.dt))
+        self._move_to(step.q, *carried(position, quaternion, twist, moment.dt))
         fallen = np.minimum(heights, 0.0) - self._heights()
         found["workspace"] = float(fallen.max(initial=-np.inf))
+        risen = self._angles() - np.maximum(angles, 0.0)
+        found["ball"] = float(risen.max(initial=-np.inf))
         reached, after = self._distances()
         earlier = {(a, b): d for (a, b), d in zip(pairs.tolist(), distances, strict=True)}
         worst = -np.inf
         for (a, b), d in zip(reached.tolist(), after, strict=True):
-            before = min(earlier.get((a, b), np.inf), self._d_min)
-            worst = max(worst, before - d - DEEP * max(-before, 0.0))
+            before = earlier.get((a, b), np.inf)
+            if before >= self._d_min or (a, b) in self._kept:
+                before = min(before, self._d_min)
+                worst = max(worst, before - d - DEEP * max(-before, 0.0))
         found["distance"] = worst
         return found
+
+    def _closing(self, moment: Moment, step: Step) -> dict[str, float]:
+        """Return how far MuJoCo's own constraints are from J v = −K r, in what v can do about it.
+
+        It is the part of the difference that lies in the range of J, relative to the rates.
+        """
+        loop, flags, model, data = self._loop, step.flag_bits, self._model, self._data
+        given_up = (Status.RELAXED, Status.MAX_ITER, Status.DEADLINE)
+        if loop is None or any(flags >> status & 1 for status in given_up) or moment.mocap[2].any():
+            return {}
+        self._move_to(moment.q, *moment.mocap[:2])
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_makeConstraint(model, data)
+        names = loop.equalities or [model.equality(k).name for k in range(model.neq)]
+        ids = [model.equality(name).id for name in names]
+        meant = np.isin(data.efc_id[: data.ne], ids)
+        jacobian = np.zeros((data.ne, model.nv))
+        if mujoco.mj_isSparse(model):
+            counts, starts = data.efc_J_rownnz[: data.ne], data.efc_J_rowadr[: data.ne]
+            mujoco.mju_sparse2dense(jacobian, data.efc_J, counts, starts, data.efc_J_colind)
+        else:
+            jacobian[:] = data.efc_J[: jacobian.size].reshape(jacobian.shape)
+        gain = np.inf if loop.gain == "deadbeat" else loop.gain
+        rates = min(gain, 1.0 / moment.dt) * data.efc_pos[: data.ne][meant]
+        free = self._contract.moves & (self._contract.velocity > 0.0)
+        left, sigma, _ = np.linalg.svd(jacobian[np.ix_(meant, free)], full_matrices=False)
+        left = left[:, sigma > RANK * max(1.0, *sigma[:1])]
+        missed = np.linalg.norm(left.T @ (jacobian[meant] @ step.v + rates))
+        return {"loop": float(missed / max(1.0, np.linalg.norm(rates)))}
 
     def _move_to(self, q: Array, position: Array, quaternion: Array) -> None:
         data = self._data
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = q, position, quaternion
         mujoco.mj_kinematics(self._model, data)
-        if self._problem.speeds:
+        if self._speeds:
             mujoco.mj_comPos(self._model, data)
 
     def _speed(self, v: Array) -> float:
         """Return by how much frames are faster than they may be at the present configuration."""
         jacobian, worst = np.zeros((6, self._model.nv)), -np.inf
-        for limit in self._problem.speeds:
-            of = mujoco.mj_jacSite if limit.frame.kind == "site" else mujoco.mj_jacBody
-            of(self._model, self._data, jacobian[:3], jacobian[3:], limit.frame.id)
-            linear, angular = np.linalg.norm((jacobian @ v).reshape(2, 3), axis=1)
-            worst = max(worst, linear - limit.linear, angular - limit.angular)
+        for frame, limit in self._speeds:
+            kinds = {
+                "site": mujoco.mj_jacSite,
+                "body": mujoco.mj_jacBody,
+                "geom": mujoco.mj_jacGeom,
+            }
+            of = getattr(self._model, frame.kind)(frame.name).id
+            kinds[frame.kind](self._model, self._data, jacobian[:3], jacobian[3:], of)
+            speeds = np.linalg.norm((jacobian @ v).reshape(2, 3), axis=1).tolist()
+            for speed, largest in zip(speeds, (limit.linear, limit.angular), strict=True):
+                if largest is not None:
+                    worst = max(worst, (speed - largest) / max(1.0, largest))
         return float(worst)
 
     def _heights(self) -> Array:
         """Return how far the frames are in front of their planes."""
-        positions = {"site": self._data.site_xpos, "body": self._data.xpos}
-        return np.array(
-            [
-                plane.normal @ positions[plane.frame.kind][plane.frame.id] - plane.offset
-                for plane in self._planes
-            ]
-        )
+        heights = []
+        for plane in self._planes:
+            of = getattr(self._data, plane.frame.kind)(plane.frame.name)
+            normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
+            heights.append(normal @ of.xpos - plane.offset)
+        return np.array(heights)
+
+    def _angles(self) -> Array:
+        """Return by how much ball joints are turned further than they may be."""
+        over = []
+        for joint, largest in self._contract.balls:
+            first = self._model.jnt_qposadr[joint]
+            w, *vector = self._data.qpos[first : first + 4]
+            over.append(2.0 * np.arctan2(np.linalg.norm(vector), abs(w)) - largest)
+        return np.array(over)
 
     def _distances(self) -> tuple[Pairs, Array]:
         """Return the pairs (k, 2) that may be nearer than d_min, and their distances (k,)."""
@@ -232,7 +330,7 @@ class Checker:
             return self._pairs, np.zeros(0)
         centres = self._data.geom_xpos[self._pairs]
         apart = np.linalg.norm(centres[:, 1] - centres[:, 0], axis=1)
-        pairs = self._pairs[apart - self._near <= self._d_min]
+        pairs = self._pairs[~(apart - self._near > self._d_min)]
         return pairs, np.array([self._distance(a, b) for a, b in pairs.tolist()])
 
     def _distance(self, a: int, b: int) -> float:
@@ -276,6 +374,12 @@ class Checker:
             if self._certified and step.moment.share == 1.0:
                 found["residual"] = _residual(qp, solution, unit)
         return found
+
+
+def _pairs_of(barrier: object) -> list[tuple[int, int]]:
+    """Return the pairs of geoms that a compiled limit is about, if it is about such."""
+    geoms = getattr(barrier, "geoms", None)
+    return [] if geoms is None else [(int(a), int(b)) for a, b in geoms]
 
 
 def _residual(qp: QP, solution: Solution, unit: float) -> float:

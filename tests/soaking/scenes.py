@@ -2,7 +2,8 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,27 @@ import numpy as np
 
 from models import REPOSITORY
 from rmrc.problem.scene import load_model
+from soaking.drawer import Drawer, Generator
+from soaking.trees import Tree, draw_tree
+from soaking.wishes import Wishes
 
 OBSTACLE = "mover"
 """The mocap body that is put into the scenes of this repository."""
-Generator = np.random.Generator
+TREE_EPISODES = 4
+"""Seeds in a row that share a tree."""
+
+
+@dataclass
+class Drawn:
+    """A configuration that was drawn, and the sizes that go with it."""
+
+    config: dict[str, Any]
+    length: float = 1.0
+    """Lengths beside those of an arm."""
+    rate: float = 1.0
+    """Rates beside those of an arm, 1/s."""
+    said: str = ""
+    """What a report says of the scene."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +56,34 @@ class Scene:
         """The frames, as a task names them."""
         return [{"site": name} for name in self.sites] + [{"body": name} for name in self.bodies]
 
+    def draw(self, seed: int, folder: Path, rng: Generator) -> Drawn:
+        """Return a random configuration of this scene."""
+        return Drawn(_draw(self, scene_file(self, folder), rng))
+
+
+@dataclass(frozen=True)
+class Trees:
+    """Random trees, in place of a scene: some seeds in a row have the same one."""
+
+    name: str = field(default="trees", init=False)
+
+    def draw(self, seed: int, folder: Path, rng: Generator) -> Drawn:
+        """Return a random configuration of the tree that belongs to a seed."""
+        number = seed // TREE_EPISODES
+        tree, path = _tree(number), folder / f"tree{number}.xml"
+        if not path.exists():
+            path.write_text(tree.xml)
+        wishes = Wishes(tree, Drawer(rng), str(path))
+        return Drawn(wishes.config(), wishes.length, wishes.rate, str(tree))
+
+
+@lru_cache(maxsize=2)
+def _tree(number: int) -> Tree:
+    return draw_tree(np.random.default_rng([TREES, number]))
+
+
+TREES = 7
+"""What the seeds of the trees begin with, unlike those of the episodes."""
 
 SCENES = (
     Scene("planar_2r", ("hand",), ("link1",), 3.0),
@@ -65,30 +111,6 @@ def present() -> list[Scene]:
     return [scene for scene in SCENES if real or not scene.source.startswith("menagerie:")]
 
 
-class Drawer:
-    """Draws from a generator in the words of a configuration."""
-
-    def __init__(self, rng: Generator):
-        self.rng = rng
-
-    def chance(self, share: float) -> bool:
-        """Return True in a share of the cases."""
-        return bool(self.rng.random() < share)
-
-    def among(self, *values: Any) -> Any:
-        """Return one of some values."""
-        return values[self.rng.integers(len(values))]
-
-    def between(self, low: float, high: float) -> float:
-        """Return a number of any order of magnitude between two."""
-        return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
-
-    def direction(self) -> np.ndarray:
-        """Return a unit vector (3,)."""
-        vector = self.rng.normal(size=3)
-        return vector / np.linalg.norm(vector)
-
-
 def scene_file(scene: Scene, folder: Path) -> str:
     """Return the path of a scene, with an obstacle that moves if it is one of this repository."""
     if scene.source.startswith("menagerie:"):
@@ -107,7 +129,7 @@ def scene_file(scene: Scene, folder: Path) -> str:
     return str(path)
 
 
-def draw(scene: Scene, path: str, rng: Generator) -> dict[str, Any]:
+def _draw(scene: Scene, path: str, rng: Generator) -> dict[str, Any]:
     """Return a random configuration of a scene, as plain data."""
     drawer = Drawer(rng)
     model = load_model(path, REPOSITORY)

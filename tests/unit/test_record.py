@@ -126,6 +126,7 @@ def fabricated(
         tolerance=TOLERANCE,
         converging={next(iter(tasks)): (0,)},
         least={},
+        resolution=1e-6,
     )
     manifest = {
         "name": name,
@@ -480,6 +481,7 @@ def summary_of(**changes: Any) -> dict[str, Any]:
         "method": "qp",
         "tolerance": TOLERANCE,
         "least": {},
+        "resolution": 1e-6,
         "converging": {"hand": (0, 1)},
     }
     return summarize(**(pieces | changes))

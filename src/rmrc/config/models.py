@@ -141,7 +141,8 @@ class Config(Model):
     scene: str
     """A MJCF or URDF file, menagerie:NAME or menagerie:NAME/ENTRY."""
     start: KeyframeName | Vector | dict[JointName, Number] | None = None
-    """Start configuration; by default the keyframe `home` where there is one, else qpos0."""
+    """Start configuration; by default the keyframe `home` where there is one, else qpos0. Mocap
+    bodies start where the keyframe has them that is named, else `home`."""
     dt: Positive = 0.002
     """Length of a step, s."""
     duration: Positive = 5.0
@@ -172,7 +173,9 @@ class Config(Model):
     tolerance: ToleranceModel = ToleranceModel()
     """What `converged` means."""
     dofs: Annotated[tuple[JointName, ...], Field(min_length=1)] | None = None
-    """The joints that may move; by default all."""
+    """The joints that may move; by default all of the robot. A tree of joints is not the robot but
+    an object where no actuator drives it, no task names a joint of it or has its frame on it, and
+    `dofs` does not name one either: it stays where it is, as an obstacle."""
     timeout: TimeoutModel = TimeoutModel()
     """When targets and measurements are stale."""
     previous: Literal["commanded", "measured"] = "commanded"

@@ -44,9 +44,8 @@ class BatchController:
 
     An element takes the same steps, bit by bit, as a `Controller` with the same engine that is
     given the same; neither the others nor the number of threads make a difference. The native
-    engine shares the elements out among threads, without the GIL; single steps that it cannot end
-    Python goes on with afterwards. Where Python takes a part of every step (see `notices`) there
-    are n controllers, and one is stepped after the other.
+    engine shares the elements out among threads, without the GIL. Where Python takes a part of
+    every step (see `notices`) there are n controllers, and one is stepped after the other.
 
     As with a controller `step` and `set_targets` never raise for what a caller can meet at run
     time, and calls must not overlap. Obstacles stay where the model has them.

@@ -1,5 +1,8 @@
 """What a configuration amounts to, and what will bind, before anything runs."""
 
+import math
+from time import thread_time
+
 import mujoco
 import numpy as np
 
@@ -12,10 +15,14 @@ from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
 from rmrc.problem.problem import Problem
-from rmrc.qp.rows import PASSED
 
 SHOWN = 6
 """Distances that a line names."""
+SHARE = 0.25
+"""Share of the deadline up to which nothing is said of the time that rows take."""
+LOOKS, AWAY = 9, 1e-3
+"""How often rows are timed, and how far from the start the joints are, rad or m: at the same place
+what was measured before would be used again."""
 
 
 def check(config: Config) -> list[str]:
@@ -32,13 +39,15 @@ def check(config: Config) -> list[str]:
         for term in problem.terms
     )
     lines = [f"{problem.dofs.size} of {problem.model.nv} dofs move; tasks: {tasks}"]
-    lines += Controller(problem).notices  # what cannot run on this problem at all says so
+    controller = Controller(problem)  # what cannot run on this problem at all says so
+    lines += controller.notices
     lines += shortcomings(problem)
     lines += build_execution(problem).notices
     return [
         *lines,
         *_at_limits(problem),
         *_too_near(problem),
+        *_slow_rows(problem, controller),
         *unfinished(aims, config),
         *problem.notices,
     ]
@@ -64,6 +73,31 @@ def _at_limits(problem: Problem) -> list[str]:
     return lines
 
 
+def _slow_rows(problem: Problem, controller: Controller) -> list[str]:
+    """Return what rows take at the start, where that is a good part of the deadline.
+
+    The clock is not looked at while they are evaluated.
+    """
+    if not problem.barriers or problem.deadline == math.inf:
+        return []
+    model, still, took = problem.model, np.zeros(problem.model.nv), []
+    for k in range(LOOKS):
+        q, way = problem.start.copy(), np.zeros(model.nv)
+        way[problem.dofs] = AWAY * (-1.0) ** k
+        mujoco.mj_integratePos(model, q, way, 1.0)
+        begin = thread_time()
+        controller.engine.prepare(q, still, problem.dt)
+        took.append(thread_time() - begin)
+    rows = float(np.median(took))
+    if rows <= SHARE * problem.deadline:
+        return []
+    line = (
+        f"a step evaluates its rows in {1e3 * rows:.2g} ms at the start, on this machine, "
+        f"of a deadline of {1e3 * problem.deadline:.2g} ms"
+    )
+    return [f"{line}: steps end with a brake" if rows > problem.deadline else line]
+
+
 def _too_near(problem: Problem) -> list[str]:
     """Return the distances that are below their limits already at the start."""
     model = problem.model
@@ -75,7 +109,7 @@ def _too_near(problem: Problem) -> list[str]:
     for limit in problem.barriers:
         barrier = limit.build(model, still)
         near = barrier.near(data, np.zeros(model.nv), problem.dt)
-        passed = near.ids[near.distance < -PASSED].tolist()
+        passed = near.ids[near.distance < -problem.resolution].tolist()
         if passed:
             shown = ", ".join(barrier.name(k) for k in passed[:SHOWN])
             more = f" and {len(passed) - SHOWN} more" if len(passed) > SHOWN else ""

@@ -15,6 +15,7 @@ from rmrc.control.quick import quick_step, quick_target
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import names
+from rmrc.problem.limits.box import braking
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 
@@ -52,7 +53,7 @@ class Controller:
         self.engine, self.notices = build_engine(problem, engine)
         model = problem.model
         self._model, self._evaluation = model, self.engine.evaluation
-        self._all = problem.dofs.size == model.nv
+        self._all, self._objects = problem.dofs.size == model.nv, problem.objects.dofs
         self._configurations = Configurations(model)
         self._targets = Targets(self._evaluation, self._configurations)
         frozen = problem.box.velocity == 0.0
@@ -102,6 +103,7 @@ class Controller:
         else:
             self._q[:] = self.problem.start
         self._v[:], self._a[:] = self._rates("v", v), self._rates("a", a)
+        self._v[self._objects] = self._a[self._objects] = 0.0
         self._refused = False
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
@@ -197,7 +199,7 @@ class Controller:
         evaluation.obstacle_twist[mocap] = pose[7:]
         return True
 
-    @quick_step  # tries `stepper` first, and then has set the deadline
+    @quick_step  # tries `stepper` first
     def step(
         self,
         q: ArrayLike | None = None,
@@ -214,8 +216,7 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
-        if self.stepper is None and self._budget < math.inf:
-            self.engine.deadline = perf_counter() + self._budget
+        self._begin()
         valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else seconds_of(dt)
         if valid is None or seconds is None:
@@ -234,32 +235,33 @@ class Controller:
             self._evaluation.a_previous[:] = self._a
         return self._solved(valid, previous, dt)
 
+    @np.errstate(all="ignore")  # what is not finite shows in the residuals
     def _solved(self, q: Array, previous: Array, dt: float) -> Step:
         """Return a step of dt seconds from a valid q (nq,)."""
         solution = self.engine.solve(q, previous, dt)
-        self._progress.update(solution.v, dt)
+        if self.engine.evaluation.refused:
+            self._progress.reset()
+        else:
+            self._progress.update(solution.v, dt)
         return self._carried_out(q, solution, self._flags(solution), dt, previous)
 
-    def resume(self, q: Array | None, dt: float) -> Step:
-        """Take a step from a valid q (nq,) that an extension has left, as `step` goes on with it.
-
-        This is for `BatchController`, whose extension does not come back after each step.
-        """
+    def _begin(self) -> None:
+        """Have what follows end in the time that a step may take."""
         if self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
-        valid = self._q.copy() if q is None else self._configurations.read(q)
-        assert valid is not None
-        return self._solved(valid, self._v.copy(), dt)
 
     def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
         """Return the velocity that this step starts from, as measured; None if v is not valid."""
         before, self._measured = self._measured, q if measured else None
         if v is not None:
-            return self._configurations.read_velocity(v)
-        if before is None or not measured:
+            found = self._configurations.read_velocity(v)
+        elif before is None or not measured:
             return self._v.copy()
-        found = np.empty(self._model.nv)
-        mujoco.mj_differentiatePos(self._model, found, dt, before, q)
+        else:
+            found = np.empty(self._model.nv)
+            mujoco.mj_differentiatePos(self._model, found, dt, before, q)
+        if found is not None:
+            found[self._objects] = 0.0  # what moves an object is no motion of the robot's
         return found
 
     def _stale(self, measured: bool, age: object) -> bool | None:
@@ -310,6 +312,7 @@ class Controller:
         It is clipped into the box, and shortened where a distance would be passed.
         The program is not solved; the errors are those of the targets at q.
         """
+        self._begin()
         valid = self._q.copy() if q is None else self._configurations.read(q)
         if valid is None or not np.isfinite(v).all():
             return self._brake(None, _INVALID_INPUT)
@@ -334,7 +337,9 @@ class Controller:
             self._refused = False
             flags |= _INVALID_INPUT
         engine = self.engine
-        if solution.status is not _SOLVED:
+        if engine.evaluation.refused:
+            flags |= _INVALID_INPUT
+        elif solution.status is not _SOLVED:
             flags |= _DEADLINE if solution.status is SolveStatus.TIME_LIMIT else _MAX_ITER
         if self._budget < math.inf and perf_counter() > engine.deadline:
             flags |= _DEADLINE
@@ -364,11 +369,11 @@ class Controller:
         if self._refused:
             self._refused, flags = False, flags | _INVALID_INPUT
         seconds = dt or self.problem.dt
-        change = np.full(self._model.nv, np.inf)
-        change[self.problem.dofs] = self.problem.box.acceleration * seconds
-        v = self._v - np.clip(self._v, -change, change)
+        dofs, v = self.problem.dofs, np.zeros(self._model.nv)
+        _, change = braking(self.problem.box, np.abs(self._v[dofs]), seconds)
+        v[dofs] = self._v[dofs] - np.clip(self._v[dofs], -change, change)
         solution = Solution.at_rest(self.engine.assembly.qp)
-        solution.v = v[self.problem.dofs]
+        solution.v = v[dofs]
         self._progress.reset()
         self.engine.share = 1.0  # of a brake nothing was left out
         return self._carried_out(self._q.copy(), solution, flags, seconds, self._v.copy())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rmrc.control.correct import raise_rows
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.limits.box import braking
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
@@ -34,6 +35,8 @@ PROXIMAL = 20
 fewer than 15, and one that it does not may take a second by its hundredth."""
 GAINED = 1e-3
 """Share of the command that solving again has to gain: less is what distances jump by."""
+MORE_ROOM = 1e-8
+"""What relaxed rows are given besides where nothing solves their program, rad/s or m/s."""
 MOST_SHAPES = 256
 """Numbers of rows for which a backend is kept."""
 
@@ -72,6 +75,8 @@ class PythonEngine:
         self._solvers: dict[tuple[int, int, bool], _Solver] = {}
         self._solver = self._solver_of(self._assembly.qp)
         hard = any(term.hard for term in self.evaluation.terms)
+        self._dt = problem.dt
+        """Length of the present step, s."""
         self._box_alone = not (self._rows.any or hard)
         self._cascade = Cascade(problem.dofs.size, self._new_backend) if problem.cascaded else None
         self.deadline = math.inf
@@ -89,7 +94,7 @@ class PythonEngine:
         return Rows(self.problem, self.evaluation)
 
     def _new_shortening(self) -> Shortening:
-        return Shortening(self.problem)
+        return Shortening(self.problem, self.evaluation.obstacle_twist)
 
     def _new_backend(self) -> Backend:
         solver = self.problem.config.solver
@@ -140,16 +145,18 @@ class PythonEngine:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
 
         The rungs: the full program; the same from a cold start; the same by another backend; the
-        least violation of rows and equalities, and the optimum within it; the box alone; a brake,
+        least violation of rows and equalities, and the optimum within it; that point; the box
+        alone; a brake,
         which is the point of the box nearest to rest. Where distances would be passed at the end of
-        the step, it is solved again for the curvature of the step, or shortened.
+        the step, it is solved again for the curvature of the step, or shortened. When the time is
+        over, a step ends with the point that it has if all limits are known to hold there, else
+        with the brake.
         """
         self.outside = self.prepare(q, v_previous, dt)
         self.scaled = False
-        return self._finished(self._best(), dt)
-
-    def _finished(self, solution: Solution, dt: float) -> Solution:
-        """Return a solution, or what the rungs below have; shortened where it leads too far."""
+        if self.evaluation.refused:
+            return self._held_back(dt)
+        solution = self._best()
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
         if self._shortening is not None and self._rows.blocks:
@@ -158,17 +165,24 @@ class PythonEngine:
             self.share = 1.0
         return solution
 
+    def _held_back(self, dt: float) -> Solution:
+        """Return the brake, for a step of which a part cannot be used; it keeps distances."""
+        solution = self._stop(Solution.at_rest(self._assembly.qp))
+        self.keep_distances(solution, dt)
+        return solution
+
     def prepare(self, q: Array, v_previous: Array, dt: float) -> bool:
         """Evaluate and assemble without solving.
 
         Return whether a joint is outside its range, or a distance below its limit.
         """
         assembly = self._assembly
+        self._dt = dt
         self.evaluation.v_previous[:] = v_previous
         outside = self._assemble(q, dt)
         if self._box_alone:
             return outside
-        equalities = assembly.equalities()
+        equalities = None if self.evaluation.refused else assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
         self._rows.update(assembly.qp, assembly.rate, dt)
         self._take_rows(equalities)
@@ -191,6 +205,9 @@ class PythonEngine:
         """Evaluate the terms and write the cost and the box; return whether a joint is outside."""
         self.evaluation.update(q)
         self.evaluation.evaluate()
+        if self.evaluation.refused:
+            self._assembly.rate[:] = 0.0
+            return self._assembly.assemble_box(q, dt)
         return self._assembly.assemble(q, dt)
 
     def _descend_ladder(self, failed: Solution) -> Solution:
@@ -201,10 +218,11 @@ class PythonEngine:
         if not (qp.lo.size or qp.f.size):
             return solution if self._feasible(solution) else self._stop(solution)
         if not self._feasible(solution) and self._in_time():
-            violation = least_violation(qp)
-            if violation is not None:
+            found = least_violation(qp, self._brake(), self._allow)
+            if found is not None:
+                violation, v = found
                 self.relaxed |= violation > INCONSISTENT
-                solution = self._elsewhere(self._best(), feasible=True)
+                solution = self._within_relaxed(v)
         if self._trusted(solution) or self._feasible(solution):
             return solution
         if self._in_time():
@@ -213,6 +231,24 @@ class PythonEngine:
             if self._trusted(solution) or self._feasible(solution):
                 return solution
         return self._stop(solution)
+
+    def _within_relaxed(self, v: Array) -> Solution:
+        """Return the optimum of what was relaxed for v (n,), or that point if it is not found."""
+        qp, solution = self._assembly.qp, Solution.at_rest(self._assembly.qp)
+        for room in (0.0, MORE_ROOM):
+            qp.lo -= room
+            qp.hi += room
+            solution = self._elsewhere(self._best(), feasible=True)
+            if self._trusted(solution) or self._feasible(solution) or not self._in_time():
+                break
+        if self._trusted(solution) or self._feasible(solution):
+            return solution
+        timed_out = solution.status is SolveStatus.TIME_LIMIT
+        status = SolveStatus.TIME_LIMIT if timed_out else SolveStatus.MAX_ITER
+        point = Solution.at_rest(qp, status)
+        point.v[:] = v
+        Certificate(qp).certify(point)
+        return point
 
     def _best(self) -> Solution:
         """Return the optimum of the program, from a warm start where there is one."""
@@ -246,8 +282,7 @@ class PythonEngine:
         return found if self._trusted(found) else solution
 
     def _attempt(self, solver: _Solver) -> Solution:
-        if self.deadline < math.inf:
-            solver.backend.allow(self.deadline - perf_counter())
+        self._allow(solver.backend)
         solver.warm = solver.ready
         if solver.warm:
             solver.backend.update(solver.qp)
@@ -258,6 +293,12 @@ class PythonEngine:
         # What ran out of time goes on from where it got to.
         solver.ready = solution.status in HEALTHY
         return solution
+
+    def _allow(self, backend: Backend) -> bool:
+        """Give a backend the time that is left, and return whether there is any."""
+        if self.deadline < math.inf:
+            backend.allow(self.deadline - perf_counter())
+        return self._in_time()
 
     def _in_time(self) -> bool:
         return self.deadline == math.inf or perf_counter() < self.deadline
@@ -294,9 +335,16 @@ class PythonEngine:
         return failed
 
     def _brake(self) -> Array:
-        """Return the point of the box nearest to rest."""
-        qp = self._assembly.qp
-        v = np.clip(np.zeros(qp.g.size), qp.lb, qp.ub)
+        """Return the point of the box nearest to rest; a ball joint goes on about its axis."""
+        qp, box = self._assembly.qp, self.problem.box
+        v = np.zeros(qp.g.size)
+        if box.balls.size:
+            before = self.evaluation.v_previous[self.problem.dofs]
+            steps, _ = braking(box, np.abs(before), self._dt)
+            some = (box.balls[:, None] + np.arange(3)).ravel()
+            some = some[steps[some] > 1.0]
+            v[some] = before[some] - before[some] / steps[some]
+        v = np.clip(v, qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
 
     def keep_distances(self, solution: Solution, dt: float) -> None:
@@ -305,8 +353,9 @@ class PythonEngine:
         if self._shortening is None or not self._rows.blocks:
             return
         evaluation, brake = self.evaluation, self._brake()
+        self._shortening.deadline = self.deadline
         self.share, passed = self._shortening.share(
-            evaluation.data, evaluation.obstacle_twist, solution.v, brake, self._rows.blocks, dt
+            evaluation.data, solution.v, brake, self._rows.blocks, dt
         )
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
@@ -341,8 +390,8 @@ class PythonEngine:
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._shortening is None or untouched or not self._in_time():
             return solution
-        end = self._shortening.end(evaluation.data, evaluation.obstacle_twist, whole, dt)
-        if not raise_rows(qp, self._rows.blocks, end, dt):
+        end = self._shortening.end(evaluation.data, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, end, dt, self.problem.resolution):
             return solution
         corrected = self._best()
         if not self._trusted(corrected):

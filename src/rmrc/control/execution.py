@@ -24,8 +24,8 @@ from rmrc.control.joint_control import (
 from rmrc.control.step import Step
 from rmrc.problem.configuration import free_dofs
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.frames import names
 from rmrc.problem.problem import Problem
+from rmrc.problem.scene import start_keyframe
 
 Array = NDArray[np.float64]
 
@@ -150,7 +150,8 @@ class Actuated:
         self._set_points = problem.start.copy()
         self._push = _Push(model, options.push) if options.push is not None else None
         self._deviation = np.full(model.nv, options.noise)
-        self._deviation[free_dofs(model)] = 0.0  # a floating body has no encoder
+        # Neither a floating body nor an object has an encoder.
+        self._deviation[free_dofs(model)] = self._deviation[problem.objects.dofs] = 0.0
         self._random = np.random.default_rng(options.seed)
         delay = options.latency + 1
         self._measurements = deque([problem.start] * delay, maxlen=delay)
@@ -212,7 +213,8 @@ class Actuated:
 
     def place_obstacles(self, data: mujoco.MjData) -> None:
         """Put the mocap bodies of the physics where they are."""
-        self._data.mocap_pos[:], self._data.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+        for own in (self._data, self._truth.data):
+            own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos, data.mocap_quat
 
     def _followed(self, v: Array) -> Array:
         """Return the velocity (nv,) of the set points: v, held back where no joint can follow.
@@ -282,9 +284,8 @@ def _at_start(model: mujoco.MjModel, problem: Problem) -> mujoco.MjData:
     Actuators that no joint controller uses keep the controls of the keyframe, if there is one.
     """
     data = mujoco.MjData(model)
-    start = problem.config.start
-    keyframe = start if isinstance(start, str) else "home"
-    if keyframe in names(model, "keyframe"):
+    keyframe = start_keyframe(model, problem.config.start)
+    if keyframe is not None:
         mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
     data.qpos[:], data.qvel[:], data.time = problem.start, 0.0, 0.0
     mujoco.mj_forward(model, data)

@@ -1,7 +1,6 @@
 """Why a step is what it is: what binds, what each task asked for and got, what would help."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ from rmrc.problem.limits.joints import joint_name
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution
+from rmrc.qp.rows import PASSED
 
 if TYPE_CHECKING:
     from rmrc.control.step import Step
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 SAME = 1e-9
 """Two bounds that differ by less than this, rad/s or m/s, are the same."""
+SHOWN = 6
+"""Distances below their limits that are named."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,21 @@ class Progressed:
 
 
 @dataclass(frozen=True)
+class Passed:
+    """A distance that was below its limit at the beginning of a step."""
+
+    limit: str
+    """Its kind, as the configuration names it."""
+    name: str
+    """The pair of geoms, the frame or the joint."""
+    by: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name} by {self.by:.4g} {self.unit} ({self.limit})"
+
+
+@dataclass(frozen=True)
 class Explanation:
     """An account of one step."""
 
@@ -84,6 +101,9 @@ class Explanation:
     tasks: tuple[Progressed, ...]
     share: float
     """What the check of distances at the next configuration left of the command, 1 for all."""
+    passed: tuple[Passed, ...] = ()
+    """The distances that were below their limits, the furthest first. No step takes them further,
+    so that many at once can hold a robot where it is."""
 
     @property
     def relief(self) -> Binding | None:
@@ -100,6 +120,13 @@ class Explanation:
             lines.append(
                 f"the command was shortened to {self.share:.0%}, to keep distances after the step"
             )
+        if self.passed:
+            more = len(self.passed) - SHOWN
+            lines += [
+                "beyond its limit, and taken no further:",
+                *(f"  {passed}" for passed in self.passed[:SHOWN]),
+                *([f"  and {more} more"] if more > 0 else []),
+            ]
         if self.tasks:
             lines += ["what the tasks asked for and got:", *(f"  {task}" for task in self.tasks)]
         if self.relief is not None:
@@ -121,8 +148,24 @@ def explain(step: "Step") -> Explanation:
             *_rows(moment, solution),
         ]
         tasks = [_progressed(term, moment, step) for term in problem.terms if term.units]
+        passed = _passed(moment)
     bindings.sort(key=lambda binding: -abs(binding.multiplier))
-    return Explanation(step.status, flags, tuple(bindings), tuple(tasks), moment.share)
+    return Explanation(
+        step.status, flags, tuple(bindings), tuple(tasks), moment.share, tuple(passed)
+    )
+
+
+def _passed(moment: Moment) -> list[Passed]:
+    """Return the distances below their limits, the furthest first."""
+    found = [
+        Passed(block.barrier.kind, block.barrier.name(entry), -distance, block.barrier.unit)
+        for block in moment.engine.rows.blocks
+        for entry, distance in zip(
+            block.near.ids.tolist(), block.near.distance.tolist(), strict=True
+        )
+        if distance < -PASSED
+    ]
+    return sorted(found, key=lambda passed: -passed.by)
 
 
 def _joints(problem: Problem, moment: Moment, solution: Solution) -> list[Binding]:
@@ -195,17 +238,10 @@ def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:
     else:
         got = evaluation.jacobian[part][:, dofs] @ step.v[dofs]
     asked, gained = [], []
-    for rows in _halves(term):
+    for rows in term.unit_rows:
         wanted, reached = asked_for[rows], got[rows]
         length = math.sqrt(wanted.dot(wanted))
         asked.append(length)
         gained.append(float(wanted @ reached) / length if length > 0.0 else 0.0)
     error = tuple(float(value) for value in step.error[term.name])
     return Progressed(term.name, term.units, error, tuple(asked), tuple(gained))
-
-
-def _halves(term: Term) -> Sequence[slice]:
-    """Return the rows of each of a task's units."""
-    if term.rows == 6 and not term.joint:
-        return [half for half in (slice(3), slice(3, 6)) if term.diagonal[half].any()]
-    return [slice(None)]

@@ -13,6 +13,7 @@ from rmrc.control.controller import Controller
 from rmrc.control.paths.base import TimedPath
 from rmrc.control.paths.profiles import PROFILES
 from rmrc.control.step import Step
+from rmrc.problem.carrier import carry_on
 from rmrc.problem.problem import Problem
 from rmrc.reaching.converge import Reacher
 
@@ -59,6 +60,9 @@ class WaypointFollower:
         for aim in self._aims:
             aim.sample(now + self._controller.problem.dt)
             aim.set_on(self._reacher.controller, moving=False)
+        self._set_points.see(q)
+        here, ahead = self._controller.engine.evaluation, self._reacher.controller.engine.evaluation
+        carry_on(ahead.data, here.data, here.obstacle_twist, self._controller.problem.dt)
         reached = self._reacher.solve(self._set_points.q)
         self.solves += reached.iterations
         return self._set_points.move_to(reached.q, q)
@@ -125,6 +129,12 @@ class _SetPoints:
         self._controller = controller
         self.q = controller.problem.start.copy()
         """The last set point (nq,)."""
+
+    def see(self, measured: Array | None) -> None:
+        """Take over where objects are; they are no set points."""
+        if measured is not None:
+            objects = self._controller.problem.objects.coordinates
+            self.q[objects] = measured[objects]
 
     def move_to(self, wanted: Array, measured: Array | None) -> Step:
         """Command the difference from the last set point, inside the box."""

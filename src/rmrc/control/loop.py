@@ -165,6 +165,7 @@ class _Log:
             tolerance={"m": config.tolerance.position, "rad": config.tolerance.orientation},
             converging=converging,
             least={kind: (m.room, m.unit, m.name) for kind, m in self._least.items()},
+            resolution=problem.resolution,
         )
         record["summary"]["solves"] = solves
         for name, line in line_deviations(problem, rows["q"]).items():

@@ -123,8 +123,8 @@ class NativeEngine(PythonEngine):
 
     Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
     would have written them. A step is C++'s as a whole, the correction and the shortening of its
-    command included, until a solution is not certified; tasks and limits of mink's and the rungs of
-    the ladder are the Python engine's, and what they solve is solved in C++. Terms without an
+    command and the rungs of the ladder included; with tasks and limits of mink's the steps are the
+    Python engine's, and what they solve is solved in C++. Terms without an
     evaluator in C++, the foreign ones, are evaluated in Python before C++ assembles.
     """
 
@@ -151,7 +151,7 @@ class NativeEngine(PythonEngine):
             self._add(term, rows)
         self._adapt()
         self._foreign = [
-            evaluate
+            (kind, evaluate)
             for kind, evaluate in evaluation.evaluators.items()
             if kind not in _JOINT and not issubclass(kind, rows)
         ]
@@ -172,8 +172,8 @@ class NativeEngine(PythonEngine):
         model, data, qp, box = problem.model, evaluation.data, assembly.qp, problem.box
         return _native.Engine(
             functions=addresses(),
-            model=model._address,
-            data=data._address,
+            model=model,
+            data=data,
             qpos=data.qpos,
             cdof=self._cdof,
             error=evaluation.error,
@@ -197,7 +197,8 @@ class NativeEngine(PythonEngine):
                 box.velocity.tolist(),
                 box.acceleration.tolist(),
                 box.jerk.tolist(),
-                box.step,
+                box.step.tolist(),
+                box.balls.tolist(),
             ),
             H=qp.H,
             g=qp.g,
@@ -212,14 +213,14 @@ class NativeEngine(PythonEngine):
         return NativeRows(self.problem, self.evaluation)
 
     def _new_shortening(self) -> NativeShortening:
-        return NativeShortening(self.problem)
+        return NativeShortening(self.problem, self.evaluation.obstacle_twist)
 
     def _connect(self) -> None:
         """Hand the rows to the extension, and what checks the commands where they lead."""
         rows, shortening = self._rows, self._shortening
         rows.connect(self._native, self._assembly.rate, self._cdof)
         if shortening is not None:
-            shortening.connect(rows, self.evaluation.obstacle_twist)
+            shortening.connect(rows)
         if rows.any:
             self._native.limit(rows.native, None if shortening is None else shortening.native)
 
@@ -248,8 +249,9 @@ class NativeEngine(PythonEngine):
                 by_coordinate, by_dof = term.by_coordinate.tolist(), term.by_dof.tolist()
                 native.add_coupling(rows, by_coordinate, by_dof, term.offset)
             case LoopTerm() if LoopTerm in kinds:
-                parts = LoopParts(self.problem.model, self.evaluation.data, self._moves, term)
-                native.add_loop(rows, parts.pairs, parts.polynomials)
+                parts = LoopParts(self.evaluation, self._moves, term)
+                scale, angular = term.scale.tolist(), term.angular.tolist()
+                native.add_loop(rows, parts.pairs, parts.polynomials, scale, angular)
             case _:
                 native.add_foreign(rows)
 
@@ -273,14 +275,17 @@ class NativeEngine(PythonEngine):
         )
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:
-        return native_kinematics.frame_of(
-            self.problem.model, self.evaluation.data, self._moves, frame
-        )
+        return native_kinematics.frame_of(self.evaluation, self._moves, frame)
 
     def _masses(
         self, term: ComTerm
-    ) -> tuple[list[tuple[int, float, Array, Array]], list[tuple[float, Array]]]:
-        """Return what each dof moves of the mass, and the subtrees with their shares."""
+    ) -> tuple[
+        list[tuple[int, float, Array, Array]], list[tuple[float, Array, Array, Array | None]]
+    ]:
+        """Return what each dof moves of the mass, and the subtrees with their shares.
+
+        Of a subtree the origin of its root is there, too, and the twist of a mocap body under it.
+        """
         model, data = self.problem.model, self.evaluation.data
         com = data.subtree_com
         moved = []
@@ -296,7 +301,12 @@ class NativeEngine(PythonEngine):
                 else:
                     continue
                 moved.append((dof, float(inner), com[part], data.xpos[model.body_rootid[body]]))
-        return moved, [(share, com[root]) for root, share in term.shares]
+        parts = []
+        for root, share in term.shares:
+            carrier = self.evaluation.carrier(root)
+            twist = None if carrier is None else carrier.twist
+            parts.append((share, com[root], data.xpos[model.body_rootid[root]], twist))
+        return moved, parts
 
     def _ancestors(self, body: int) -> set[int]:
         """Return a body and those that it hangs on, but for the world."""
@@ -324,14 +334,16 @@ class NativeEngine(PythonEngine):
         """Evaluate all terms, the foreign ones after the others."""
         self._native.evaluate(q)
         self.evaluation.fill_constraints()
-        for evaluate in self._foreign:
-            evaluate()
+        self.evaluation.run(self._foreign)
 
     def _assemble(self, q: Array, dt: float) -> bool:
         self.behind = False
         self._evaluate(q)
         outside = self._native.assemble(dt)
-        self._assembly.add_mink_tasks(dt)
+        if self.evaluation.refused:
+            self._assembly.rate[:] = 0.0
+        else:
+            self._assembly.add_mink_tasks(dt)
         return outside
 
     def _new_backend(self) -> Backend:
@@ -367,36 +379,33 @@ class NativeEngine(PythonEngine):
         self.evaluation.v_previous[:] = v_previous
         if self._foreign:
             self._evaluate(q)
-        seconds = self.deadline - perf_counter() if self.deadline < math.inf else math.inf
+            if self.evaluation.refused:
+                return super().solve(q, v_previous, dt)
         both = np.empty((2, self.problem.dofs.size))
-        status, iterations, *kkt, self.outside, share, relaxed, done = self._native.solve(
-            None if self._foreign else q, dt, seconds, both
+        status, iterations, *kkt, self.outside, share, relaxed = self._native.solve(
+            None if self._foreign else q, dt, self.deadline - perf_counter(), both
         )
         y = w = _NONE
         if not self._box_alone:
             y, w = self._catch_up()
             self.relaxed, self.share = relaxed, share
-        kkt = KKT(*kkt)
-        solution = Solution(both[0], both[1], y, w, iterations, SolveStatus(status), kkt)
         if self._cascade is not None:
             self.scaled = _native.scaled(self._native)
-        if done:
-            return solution
-        super().reset()  # what Python solved last may be of long ago, or of another element's
-        if self._cascade is not None and not self._trusted(solution):
-            solution = self._best()  # which attempts it with more room
-        return self._finished(solution, dt)
+        return Solution(both[0], both[1], y, w, iterations, SolveStatus(status), KKT(*kkt))
 
     def _catch_up(self) -> tuple[Array, Array]:
         """Have the rows and equalities of the last step where Python looks; return y and w."""
         self.behind = False
-        held, y, raised = None, self._rows.read(), self._native.raised
+        held, y, moved = None, self._rows.read(), self._native.moved
         if self._held is not None:
             count = slice(_native.equalities(self._native))
             held = HeldRows(*(array[count].copy() for array in self._held))
         self._take_rows(held)
-        if raised is not None:
-            self._assembly.qp.lo[:] = raised
+        qp = self._assembly.qp
+        if moved is not None:
+            qp.lo[:], qp.hi[:], qp.f[:] = moved
+        if self._native.boxed:
+            self._assembly.resize(0, 0)
         return y, _NONE if held is None else held.multiplier
 
     @property

@@ -5,21 +5,15 @@ from numpy.typing import NDArray
 
 from rmrc import _native
 from rmrc.control.controller import Controller
-from rmrc.control.step import Status, Step
 from rmrc.problem.problem import Problem
 
 Array = NDArray[np.float64]
 
 
 class NativeBatch:
-    """Takes the steps of `count` elements, on one thread for each controller.
-
-    A step that the extension cannot end, for its solution is not certified, the first of the
-    controllers goes on with, one element after the other.
-    """
+    """Takes the steps of `count` elements, on one thread for each controller."""
 
     def __init__(self, problem: Problem, controllers: list[Controller], count: int):
-        self._first = controllers[0]
         self._count, self._nq, self._nv = count, problem.model.nq, problem.model.nv
         self._native = _native.Batch(
             count=count,
@@ -62,17 +56,5 @@ class NativeBatch:
         """Return v, q and flags after a step of dt seconds from q (n, nq), or the last's."""
         v, following = np.empty((self._count, self._nv)), np.empty((self._count, self._nq))
         flags = np.empty(self._count, dtype=np.int32)
-        if self._native.step(q, dt, v, following, flags):
-            for element in np.flatnonzero(flags < 0).tolist():
-                step = self._resumed(element, None if q is None else q[element], dt)
-                v[element], following[element], flags[element] = step.v, step.q, step.flag_bits
+        self._native.step(q, dt, v, following, flags)
         return v, following, flags
-
-    def _resumed(self, element: int, q: Array | None, dt: float) -> Step:
-        """Return the step of an element that the extension has left to Python."""
-        controller = self._first
-        self._native.lend(element)
-        step = controller.resume(q, dt)
-        if self._native.take_back(element):
-            step.flag_bits |= 1 << Status.INVALID_INPUT
-        return step

@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
+from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.ball import BallRange
 from rmrc.problem.limits.barrier import Barrier
 from rmrc.problem.limits.collision import Collision
 from rmrc.problem.limits.workspace import Workspace
+from rmrc.problem.objects import bodies_of_equality
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.axis_align import AxisAlignTerm
 from rmrc.problem.tasks.base import Term
@@ -46,21 +48,24 @@ _SAME = mujoco.mjtSameFrame
 _SAME_ROTATION = (_SAME.mjSAMEFRAME_BODY, _SAME.mjSAMEFRAME_BODYROT)
 
 
-def frame_of(
-    model: mujoco.MjModel, data: mujoco.MjData, moves: NDArray[np.bool_], frame: FrameHandle
-) -> _native.Frame:
-    """Return where a frame stands, the point its axes refer to, and the dofs that move it.
+def frame_of(evaluation: Evaluation, moves: NDArray[np.bool_], frame: FrameHandle) -> _native.Frame:
+    """Return where a frame stands, the point its axes refer to, and what moves it.
 
     Args:
-        model: The model.
-        data: Where the poses are.
+        evaluation: Where the poses are, and the velocities of the mocap bodies.
         moves: Which dofs move each body (nbody, nv).
         frame: The frame.
     """
-    body = frame.body(model)
+    model, data = evaluation.model, evaluation.data
+    body, carrier = frame.body(model), evaluation.carrier(frame.body(model))
     position, rotation = frame.views(data)
-    reference = data.xpos[model.body_rootid[body]]
-    return _native.Frame(position, rotation, reference, np.flatnonzero(moves[body]).tolist())
+    return _native.Frame(
+        position=position,
+        rotation=rotation,
+        reference=data.xpos[model.body_rootid[body]],
+        dofs=np.flatnonzero(moves[body]).tolist(),
+        carrier=None if carrier is None else carrier.twist,
+    )
 
 
 class Watched:
@@ -89,9 +94,7 @@ class Watched:
             case LoopTerm():
                 for i in term.equalities:
                     if mujoco.mjtEq(int(model.eq_type[i])) in _OF_BODIES:
-                        ends = np.array([model.eq_obj1id[i], model.eq_obj2id[i]])
-                        of_sites = model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE)
-                        self.bodies.update((model.site_bodyid[ends] if of_sites else ends).tolist())
+                        self.bodies.update(bodies_of_equality(model, i))
             case _:
                 pass
 

@@ -13,7 +13,7 @@ from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
-from rmrc.problem.tasks.loop import ROWS, TORQUE_SCALE, LoopTerm
+from rmrc.problem.tasks.loop import ROWS, TORQUE_SCALE, End, LoopTerm, ends_of_equality
 from rmrc.problem.tasks.pointing import PointingTerm
 from rmrc.qp.assemble import Assembly, square_root
 from rmrc.qp.equalities import weighed_directions
@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 
 _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 _TENDON = mujoco.mjtEq.mjEQ_TENDON
-_SITE = mujoco.mjtObj.mjOBJ_SITE
-_UNTURNED = [1.0, 0.0, 0.0, 0.0]
 
 Anchorage = tuple[_native.Frame, Array, list[float], list[float]]
 """A body's frame and quaternion, and a point and a rotation in its coordinates."""
@@ -64,10 +62,9 @@ def _is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
 class LoopParts:
     """The constraints of a `loop` term, as the extension takes them."""
 
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, moves: NDArray[np.bool_], term: LoopTerm
-    ):
-        self._model, self._data, self._moves = model, data, moves
+    def __init__(self, evaluation: Evaluation, moves: NDArray[np.bool_], term: LoopTerm):
+        model = self._model = evaluation.model
+        self._evaluation, self._moves = evaluation, moves
         self.pairs: list[Pair] = []
         """Connects and welds."""
         self.polynomials: list[Polynomial] = []
@@ -82,27 +79,15 @@ class LoopParts:
             first += ROWS[_kind(model, i)]
 
     def _pair(self, i: int, first: int) -> Pair:
-        model, numbers = self._model, self._model.eq_data[i]
-        welded = _kind(model, i) == _WELD
-        ids = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
-        scale = float(numbers[TORQUE_SCALE]) if welded else 1.0
-        if mujoco.mjtObj(int(model.eq_objtype[i])) == _SITE:
-            one, other = (
-                self._anchorage(model.site_bodyid[s], model.site_pos[s], model.site_quat[s])
-                for s in ids
-            )
-        elif welded:  # its anchor is the second body's, and the pose of that one in the first's
-            one = self._anchorage(ids[0], numbers[3:6], numbers[6:10])
-            other = self._anchorage(ids[1], numbers[:3], _UNTURNED)
-        else:
-            one = self._anchorage(ids[0], numbers[:3], _UNTURNED)
-            other = self._anchorage(ids[1], numbers[3:6], _UNTURNED)
+        welded = _kind(self._model, i) == _WELD
+        scale = float(self._model.eq_data[i, TORQUE_SCALE]) if welded else 1.0
+        one, other = (self._anchorage(end) for end in ends_of_equality(self._model, i))
         return first, welded, scale, one, other
 
-    def _anchorage(self, body: int, point: Array, turn: Array | list[float]) -> Anchorage:
-        model, data = self._model, self._data
-        frame = frame_of(model, data, self._moves, FrameHandle("body", int(body)))
-        return frame, data.xquat[body], list(map(float, point)), list(map(float, turn))
+    def _anchorage(self, end: End) -> Anchorage:
+        frame = frame_of(self._evaluation, self._moves, FrameHandle("body", end.body))
+        quaternion = self._evaluation.data.xquat[end.body]
+        return frame, quaternion, end.point.tolist(), end.turn.tolist()
 
     def _combination(self, i: int, which: int) -> Combination:
         """Return the sum that a joint or a fixed tendon is; one of nothing where there is none."""

@@ -1,6 +1,7 @@
 """The rows of a step in C++, and the check of a command where it leads, as parts of the engine."""
 
 from collections.abc import Iterator
+from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from rmrc import _native
 from rmrc.control import native_kinematics
 from rmrc.control.shorten import Shortening
+from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.limits.ball import BallRange
 from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.collision import Collision
@@ -35,7 +37,7 @@ ARRAYS = (
 def kinematics(data: mujoco.MjData, cdof: Array) -> _native.Kinematics:
     """Return where the arrays of an mjData stand, and the axes of the dofs (nv, 6)."""
     arrays = {name: getattr(data, name) for name in ARRAYS} | {"cdof": cdof}
-    return _native.Kinematics(data._address, arrays | {"reference": data.xpos})
+    return _native.Kinematics(data, arrays | {"reference": data.xpos})
 
 
 class NativeRows(Rows):
@@ -65,6 +67,12 @@ class NativeRows(Rows):
             distance=self._distance,
             slope=self._slope,
             drift=self._drift,
+        )
+        self.native.know(
+            resolution=problem.resolution,
+            turning=turning_dofs(model).tolist(),
+            slides=self._slides.described(),
+            twist=evaluation.obstacle_twist,
         )
         self._moves = dofs_of_bodies(model)
         self._hand_over_speeds(rate)
@@ -158,29 +166,23 @@ class NativeRows(Rows):
 
 
 class NativeShortening(Shortening):
-    """Has the extension find the share of a command, unless it takes too long to rest."""
+    """Has the extension find the share of a command."""
 
-    def connect(self, rows: NativeRows, twist: Array) -> None:
-        """Have the rows of an engine checked; `twist` are the mocap bodies' velocities."""
+    def connect(self, rows: NativeRows) -> None:
+        """Have the rows of an engine checked."""
         cdof = np.zeros((self._model.nv, 6))
         self.native = _native.Shortening(
             rows=rows.native,
             own=kinematics(self._data, cdof),
-            deceleration=self._deceleration.tolist(),
-            twist=twist,
+            deceleration=self._box.acceleration.tolist(),
+            balls=self._box.balls.tolist(),
+            twist=self._twist,
         )
         watched = native_kinematics.of_barriers(rows.barriers)
         self.native.follow(native_kinematics.build(self._model, self._data, cdof, watched))
 
     def share(
-        self,
-        data: mujoco.MjData,
-        twist: Array,
-        v: Array,
-        brake: Array,
-        blocks: list[Block],
-        dt: float,
+        self, data: mujoco.MjData, v: Array, brake: Array, blocks: list[Block], dt: float
     ) -> tuple[float, bool]:
         """Return s, and whether a distance falls below its limit even so."""
-        found = self.native.share(v, brake, dt)
-        return super().share(data, twist, v, brake, blocks, dt) if found is None else found
+        return self.native.share(v, brake, dt, self.deadline - perf_counter())

@@ -75,7 +75,7 @@ class Progress:
         error = evaluation.error[rows]
         pull = self._weight * error
         length = math.sqrt(max(pull.dot(error), 0.0))
-        if length == 0.0 or not self._is_off():
+        if not length > 0.0 or not self._is_off():
             self.reset()
             return
         asked = pull.dot(self._assembly.rate[rows]) / length
@@ -107,14 +107,12 @@ class Progress:
     def watched(self) -> list[tuple[Term, Array, tuple[float, float]]]:
         """Return the decisive tasks, B's diagonal, and the distance and angle that count as there.
 
-        One that a task does not measure is infinite; a number of its own counts as the distance.
+        One that a task does not measure is infinite.
         """
         found = []
         for term, _, limits in self._terms:
             by_unit = dict(zip(term.units, limits.tolist(), strict=True))
             pair = (by_unit.get("m", math.inf), by_unit.get("rad", math.inf))
-            if term.rows != 6:
-                pair = (float(limits[0]), math.inf)
             found.append((term, term.diagonal, pair))
         return found
 
@@ -128,6 +126,7 @@ def _run(indices: NDArray[np.intp]) -> NDArray[np.intp] | slice:
 
 def _row_tolerances(term: Term, limit: dict[str, float]) -> Array:
     """Return the tolerance of each row: those of a vector together make that of its norm."""
-    if term.rows == 6:
-        return np.repeat([limit["m"], limit["rad"]], 3) / math.sqrt(3.0)
-    return np.full(term.rows, limit[term.units[0]] / math.sqrt(term.rows))
+    tolerances = np.zeros(term.rows)
+    for unit, rows in zip(term.units, term.unit_rows, strict=True):
+        tolerances[rows] = limit[unit] / math.sqrt(rows.size)
+    return tolerances

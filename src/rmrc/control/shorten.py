@@ -2,28 +2,35 @@
 
 import math
 from dataclasses import dataclass
+from time import perf_counter
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.problem.carrier import carry_on
+from rmrc.problem.configuration import turning_dofs
+from rmrc.problem.limits.box import Box, braking
 from rmrc.problem.limits.collision import Collision
+from rmrc.problem.limits.slides import Slides
 from rmrc.problem.problem import Problem
-from rmrc.qp.rows import PASSED, Block
+from rmrc.qp.rows import Block
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-TOLERANCE = 0.5 * PASSED
-"""How far below 0 a distance may be at the end of a step, m or rad."""
-NOISE = 1e-9
-"""How much a distance below 0 may lose by rounding, m or rad."""
+TOLERANCE = 0.5
+"""How far below 0 a distance may be at the end of a step, in resolutions."""
+NOISE = 1e-3
+"""How much a distance below 0 may lose by rounding, in resolutions."""
 MOST_LOOKS = 256
 """Looks at a way to rest after which what is not known to be free counts as passed."""
 TRIALS = 10
 """Most shares of a command that are tried, once the whole of it is too much."""
 GUESSES = 10
 """Most shares at which one distance is measured, before all of them are looked at."""
+MOST_STEPS = 2.0**53
+"""Most steps to rest that are counted: there are no larger whole numbers that all are floats."""
 MOST_PARTS = 24
 """Most parts of a step that are looked at, so that nothing is passed through."""
 NEARER = 0.98
@@ -39,13 +46,13 @@ class _Path:
     all joints rest.
     """
 
-    def __init__(self, v: Array, deceleration: Array, dt: float):
+    def __init__(self, v: Array, box: Box, dt: float):
         self._sign, self._speed, self.dt = np.sign(v), np.abs(v), dt
-        change = deceleration * dt
-        self._count = np.floor(self._speed / change)
+        steps, change = braking(box, self._speed, dt)
+        self._count = np.floor(steps)
         self._change = np.where(change < math.inf, change, 0.0)  # no ∞ · 0
         self._half = 0.5 * self._change
-        self.last = 1 + int(self._count.max())
+        self.last = 1 + int(min(self._count.max(), MOST_STEPS))
 
     def way(self, place: float) -> Array:
         """Return how far the joints have moved at a place (n,)."""
@@ -65,9 +72,10 @@ class _Path:
 class _Watched:
     """The entries of a barrier that a motion could carry below what is allowed."""
 
-    def __init__(self, block: Block, chosen: Ids):
+    def __init__(self, block: Block, chosen: Ids, resolution: float):
         self.barrier, self.ids = block.barrier, block.near.ids[chosen]
-        self.floor = np.minimum(block.near.distance[chosen] - NOISE, -TOLERANCE)
+        distance = block.near.distance[chosen]
+        self.floor = np.minimum(distance - NOISE * resolution, -TOLERANCE * resolution)
         self.now = block.near.distance[chosen] - self.floor
         """What is known of the rooms at the present configuration (k,)."""
 
@@ -79,26 +87,40 @@ class _Watched:
         """Return the rooms of some entries (k,)."""
         return self.barrier.distances(data, self.ids[which]) - self.floor[which]
 
-    def falls(self, which: Ids, step: Array, speed: Array, change: Array) -> tuple[Array, Array]:
-        """Return by how much rooms (k,) can fall in a step, and what is known accelerate.
-
-        Args:
-            which: Of which entries.
-            step: |Δq| (nv,).
-            speed: |q̇| (nv,).
-            change: |q̈| (nv,).
-        """
+    def falls(self, which: Ids, motion: "_Motion") -> tuple[Array, Array]:
+        """Return by how much some rooms (k,) can fall in a motion, and what is known accelerate."""
         ids, reach = self.ids[which], self.barrier.reach
-        return reach(ids, step, 0.0), reach(ids, change + speed.sum() * speed, 0.0)
+        return reach(ids, motion.step, 0.0), reach(ids, motion.bend, 0.0)
+
+
+@dataclass(eq=False)
+class _Motion:
+    """A bound of a motion over all dofs (nv,), stretched by the slides."""
+
+    step: Array
+    """|Δq|."""
+    speed: Array
+    """|q̇|."""
+    change: Array
+    """|q̈|."""
+    bend: Array
+    """What times the levers bounds the acceleration of any point: |q̈| + ω |q̇|, with the sum ω of
+    all rates of turning, and ω twice for what slides."""
 
 
 class _WatchedPairs(_Watched):
     """Pairs of geoms, with planes between them that say what need not be measured."""
 
     def __init__(
-        self, block: Block, chosen: Ids, collision: Collision, data: mujoco.MjData, reach: Array
+        self,
+        block: Block,
+        chosen: Ids,
+        resolution: float,
+        collision: Collision,
+        data: mujoco.MjData,
+        reach: Array,
     ):
-        super().__init__(block, chosen)
+        super().__init__(block, chosen, resolution)
         self._planes = collision.planes(data, self.ids)
         self.now = self._planes.distance - self.floor
         self._levers, self._carried, self._moves = collision.motion(self.ids, reach)
@@ -106,10 +128,10 @@ class _WatchedPairs(_Watched):
     def known(self, data: mujoco.MjData, which: Ids) -> Array:
         return self._planes.least(data, which) - self.floor[which]
 
-    def falls(self, which: Ids, step: Array, speed: Array, change: Array) -> tuple[Array, Array]:
+    def falls(self, which: Ids, motion: _Motion) -> tuple[Array, Array]:
         carried, moves = self._carried[which], self._moves[which]
-        bend = carried @ change + (carried @ speed) * (moves @ speed)
-        return self._levers[which] @ step, bend
+        bend = carried @ motion.change + (carried @ motion.speed) * (moves @ motion.speed)
+        return self._levers[which] @ motion.step, bend
 
 
 @dataclass(eq=False)
@@ -139,82 +161,96 @@ class Shortening:
     that the joints can take off them (as conservative advancement does: Mirtich 1996).
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem, twist: Array):
+        """`twist` (nmocap, 6) are the velocities of the mocap bodies; whoever moves them writes."""
         self._model, self._dofs = problem.model, problem.dofs
         self._data = mujoco.MjData(problem.model)
-        self._deceleration = problem.box.acceleration
-        self._slows = bool(np.isfinite(self._deceleration).all())
-        self._tangent = np.zeros((3, problem.model.nv))
+        self._box = problem.box
+        self._slows = bool(np.isfinite(problem.box.acceleration).all())
+        self._slides, self._twist = Slides(problem.model, twist), twist
+        self._turning = turning_dofs(problem.model)
+        self._resolution, self._tolerance = problem.resolution, TOLERANCE * problem.resolution
         self._start, self._steady, self._still = np.zeros(problem.model.nq), True, True
+        self.deadline = math.inf
+        """When looking has to end, on the clock of `perf_counter`, s."""
 
     def share(
-        self,
-        data: mujoco.MjData,
-        twist: Array,
-        v: Array,
-        brake: Array,
-        blocks: list[Block],
-        dt: float,
+        self, data: mujoco.MjData, v: Array, brake: Array, blocks: list[Block], dt: float
     ) -> tuple[float, bool]:
         """Return s, and whether a distance falls below its limit even so.
 
+        What the clock cuts short is not known to keep distances: s is then 0, for the brake is what
+        the step before has left.
+
         Args:
             data: The present configuration and the mocap bodies.
-            twist: Velocities of the mocap bodies (nmocap, 6).
             v: The command (n,).
             brake: b (n,).
             blocks: The barriers that are near.
             dt: Length of the step, s.
         """
-        whole, rest = (_Path(command, self._deceleration, dt) for command in (v, brake))
-        watched = self._watched(data, [whole], blocks)
+        whole, rest = (_Path(command, self._box, dt) for command in (v, brake))
+        watched = self._watched(data, whole, blocks)
         if not watched:
             return 1.0, False
-        self._start[:], self._still = data.qpos, not twist.any()
+        self._start[:], self._still = data.qpos, not self._twist.any()
         self._steady = self._still and self._slows
-        self._move_obstacles(data, twist, dt)
+        carry_on(self._data, data, self._twist, dt)
         look = self._worst(whole, watched)
         if look.least >= 0.0:
             return 1.0, False
-        watched = self._watched(data, [whole, rest], blocks)
+        # No joint is faster, or takes longer to rest, at any share between the two.
+        fastest = _Path(np.maximum(np.abs(v), np.abs(brake)), self._box, dt)
+        watched = self._watched(data, fastest, blocks)
         high = 1.0
         for trial in range(TRIALS):
+            if self._is_over():
+                break
             high = self._guess(look, (v, brake), high, dt) * (1.0 - LEAST_PART * trial)
             if high == 0.0:
                 break
-            look = self._worst(_Path(brake + high * (v - brake), self._deceleration, dt), watched)
+            look = self._worst(_Path(brake + high * (v - brake), self._box, dt), watched)
             if look.least >= 0.0:
                 return high, False
+        if self._is_over():
+            return 0.0, False
         # What the step before has left may be used up by rounding.
-        return 0.0, self._worst(rest, watched, -TOLERANCE).least < -TOLERANCE
+        passed = self._worst(rest, watched, -self._tolerance).least < -self._tolerance
+        return 0.0, passed and not self._is_over()
 
-    def end(self, data: mujoco.MjData, twist: Array, v: Array, dt: float) -> mujoco.MjData:
+    def _is_over(self) -> bool:
+        """Return whether the time is over."""
+        return self.deadline < math.inf and perf_counter() >= self.deadline
+
+    def end(self, data: mujoco.MjData, v: Array, dt: float) -> mujoco.MjData:
         """Return the configuration that v (n,) leads to in a step of dt, for a while."""
         self._start[:] = data.qpos
-        self._move_obstacles(data, twist, dt)
+        carry_on(self._data, data, self._twist, dt)
         self._place(v * dt)
         return self._data
 
-    def _watched(
-        self, data: mujoco.MjData, paths: list[_Path], blocks: list[Block]
-    ) -> list[_Watched]:
-        """Return the entries that a motion on one of the paths could carry below their limit."""
-        ways = [np.abs(path.way(path.last)) for path in paths]
-        step, watched = self._over_all(np.maximum.reduce(ways)), []
+    def _watched(self, data: mujoco.MjData, path: _Path, blocks: list[Block]) -> list[_Watched]:
+        """Return the entries that a motion no longer than a path could carry below their limit."""
+        step, dt, watched = self._over_all(np.abs(path.way(path.last))), path.dt, []
+        self._slides.begin(data.qpos, step)
+        self._slides.stretch(step, dt)
         for block in blocks:
             barrier = block.barrier
-            reach = barrier.reach(block.near.ids, step, paths[0].dt)
+            reach = barrier.reach(block.near.ids, step, dt)
             chosen = (block.near.distance < reach).nonzero()[0]
             if chosen.size and isinstance(barrier, Collision):
-                watched.append(_WatchedPairs(block, chosen, barrier, data, reach[chosen]))
+                watched.append(
+                    _WatchedPairs(block, chosen, self._resolution, barrier, data, reach[chosen])
+                )
             elif chosen.size:
-                watched.append(_Watched(block, chosen))
+                watched.append(_Watched(block, chosen, self._resolution))
         return watched
 
-    def _over_all(self, values: Array, row: int = 0) -> Array:
-        """Return values of the dofs that may move as those of all dofs (nv,), in a buffer kept."""
-        self._tangent[row, self._dofs] = values
-        return self._tangent[row]
+    def _over_all(self, values: Array) -> Array:
+        """Return values of the dofs that may move as those of all dofs (nv,)."""
+        tangent = np.zeros(self._model.nv)
+        tangent[self._dofs] = values
+        return tangent
 
     def _guess(
         self,
@@ -228,21 +264,24 @@ class Shortening:
         (v, brake), each, entry = ends, look.worst[0], np.array([look.worst[1]])
         low, room_low, room_high, share = 0.0, math.inf, look.least, 0.0
         for _ in range(GUESSES):
-            path = _Path(brake + share * (v - brake), self._deceleration, dt)
+            path = _Path(brake + share * (v - brake), self._box, dt)
             self._place(path.way(look.place))
             room = float(each.measured(self._data, entry)[0])
             if room < 0.0:
                 high, room_high = share, room
             else:
                 low, room_low = share, room
-            if not high or high - low < CLOSE or (room_low <= TOLERANCE and low):
+            if not high or high - low < CLOSE or (room_low <= self._tolerance and low):
                 break
             part = NEARER * room_low / (room_low - room_high)
             share = low + (high - low) * min(max(part, LEAST_PART), 1.0 - LEAST_PART)
         return low
 
     def _worst(self, path: _Path, watched: list[_Watched], least: float = 0.0) -> _Look:
-        """Return the first look on a path to rest at which a room is below `least`; else any."""
+        """Return the first look on a path to rest at which a room is below `least`; else any.
+
+        After the deadline none is known to be free.
+        """
         every = [np.arange(each.ids.size) for each in watched]
         end = self._look(path, path.last, watched, every)
         if end.least < least:
@@ -256,6 +295,8 @@ class Shortening:
         parts = self._parts(path, watched, every)
         for k in range(1, parts):
             look = self._look(path, k / parts, watched, every)
+            if self._is_over():
+                look.least = -math.inf
             if look.least < least:
                 return look
         if path.last == 1:
@@ -284,7 +325,8 @@ class Shortening:
             if any(some.size for some in among):
                 between = self._look(path, before.place + steps // 2, watched, among)
                 looks += 1
-                if looks > MOST_LOOKS and between.least >= least:
+                unknown = looks > MOST_LOOKS or self._is_over()
+                if unknown and between.least >= least:
                     between.least = -math.inf
                 if between.least < least:
                     return between
@@ -294,6 +336,7 @@ class Shortening:
     def _parts(self, path: _Path, watched: list[_Watched], among: list[Ids]) -> int:
         """Return into how many parts to cut the step, so that nothing is passed through."""
         step, passes = self._over_all(np.abs(path.way(1))), 1.0
+        self._slides.stretch(step, path.dt)
         for each, some in zip(watched, among, strict=True):
             ids = each.ids[some]
             fall = each.barrier.reach(ids, step, path.dt) / each.barrier.thickness(ids)
@@ -312,13 +355,16 @@ class Shortening:
 
         In a time T a motion with the acceleration a leaves its chord by no more than a T²/8.
         """
-        speed, change = path.motion(before.place)
         step = self._over_all(np.abs(after.way - before.way))
-        speed, change = self._over_all(speed, 1), self._over_all(change, 2)
+        speed, change = (self._over_all(values) for values in path.motion(before.place))
+        turn = np.where(self._turning, 1.0, 2.0) * speed[self._turning].sum()
+        motion = _Motion(step, speed, change, change + turn * speed)
+        for values in (motion.step, motion.speed, motion.change, motion.bend):
+            self._slides.stretch(values, 0.0)
         time = (after.place - before.place) * path.dt
         found = []
         for n, (each, some) in enumerate(zip(watched, among, strict=True)):
-            reach, bend = each.falls(some, step, speed, change)
+            reach, bend = each.falls(some, motion)
             known = np.minimum(before.known[n][some], after.known[n][some])
             free = known >= bend * (time * time / 8.0)
             free |= before.room[n][some] + after.room[n][some] >= reach
@@ -350,17 +396,3 @@ class Shortening:
         qpos[:] = self._start
         mujoco.mj_integratePos(self._model, qpos, self._over_all(way), 1.0)
         mujoco.mj_kinematics(self._model, self._data)
-
-    def _move_obstacles(self, data: mujoco.MjData, twist: Array, dt: float) -> None:
-        """Put the mocap bodies where they will be at the end of the step."""
-        if not twist.size:
-            return
-        own = self._data
-        own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos + twist[:, :3] * dt, data.mocap_quat
-        for quaternion, rate in zip(own.mocap_quat, twist[:, 3:], strict=True):
-            # mju_quatIntegrate turns by a rate in the body's own axes, and this is the world's.
-            local = np.empty(3)
-            inverse = np.empty(4)
-            mujoco.mju_negQuat(inverse, quaternion)
-            mujoco.mju_rotVecQuat(local, rate, inverse)
-            mujoco.mju_quatIntegrate(quaternion, local, dt)

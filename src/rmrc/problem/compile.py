@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from contextlib import suppress
 from typing import TypeVar
 
 import mink
@@ -19,11 +19,12 @@ from rmrc.problem.configuration import (
     normalized,
     resolve_configuration,
 )
-from rmrc.problem.frames import names
+from rmrc.problem.limits.extents import resolution, size
 from rmrc.problem.limits.joints import compile_box, select
 from rmrc.problem.limits.rows import compile_barriers, compile_speeds
+from rmrc.problem.objects import Objects, bodies_of_joints, claimed_by_mink, find_objects
 from rmrc.problem.problem import Problem
-from rmrc.problem.scene import load_model
+from rmrc.problem.scene import load_model, place_mocap_bodies, start_keyframe
 from rmrc.problem.tasks.base import FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
@@ -36,8 +37,8 @@ Result = TypeVar("Result")
 MOST_STEPS = 10_000_000
 """Steps of a run, whose arrays are allocated at its start."""
 LONGEST_STEP = 10.0
-"""Most that a joint moves in a step beside distances that are kept, rad or m: what a longer one
-could come to is not looked at."""
+"""Most that a joint moves in a step beside distances that are kept, rad or m, and in lengths of a
+robot that is longer than 1 m: what a longer one could come to is not looked at."""
 
 
 def compile(
@@ -83,15 +84,18 @@ class _Compiler:
     ) -> Problem:
         config, mistakes = self._config, self._mistakes
         model, start = self._model_at_start()
-        terms = self._terms(model, start)
-        dofs = self._try(("dofs",), lambda: _dofs(model, config.dofs))
+        objects = self._objects(model, mink_tasks)
+        terms = self._terms(model, start, objects)
+        dofs = self._try(("dofs",), lambda: _dofs(objects, config.dofs))
         metric = self._try(("metric",), lambda: _metric(model, config))
-        box, notices = compile_box(model, config.limits, mistakes)
+        box, notices = compile_box(objects, config.limits, mistakes)
         for term in terms:
             if isinstance(term, FreezeTerm):
                 box.velocity[term.dofs] = 0.0
-        moving = np.arange(model.nv) if dofs is None else dofs
-        barriers = compile_barriers(model, config.limits, moving, mistakes, notices)
+        moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
+        barriers = compile_barriers(objects, config.limits, start, moving, mistakes, notices)
+        if barriers:
+            box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
         speeds = compile_speeds(config.limits, terms, mistakes)
         self._try_solver()
         self._try_mink(mink_tasks, mink_limits, model, start)
@@ -111,6 +115,7 @@ class _Compiler:
             start=start,
             dt=config.dt,
             dofs=dofs,
+            objects=objects,
             terms=terms,
             metric=metric,
             inertia=inertia,
@@ -118,13 +123,15 @@ class _Compiler:
             curvature=config.damping.curvature,
             soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
             strict=strict,
-            box=replace(select(box, dofs), step=LONGEST_STEP if barriers else math.inf),
+            box=select(box, dofs),
             notices=(
+                *objects.notices(),
                 *notices,
                 *_damping_notices(config, bool(metric.any() or inertia)),
                 *_equality_notices(model, terms),
             ),
             barriers=barriers,
+            resolution=resolution(model),
             speeds=speeds,
             deadline=1e-6 * (solver.deadline or math.inf),
             target_timeout=timeout.target or math.inf,
@@ -151,7 +158,22 @@ class _Compiler:
         start = self._try(("start",), lambda: start_configuration(model, config))
         self._stop_on_mistakes()
         assert start is not None
+        # Distances of smooth geoms are measured no more finely than this.
+        model.opt.ccd_tolerance = min(model.opt.ccd_tolerance, resolution(model))
+        self._try(("start",), lambda: place_mocap_bodies(model, config.start))
+        self._stop_on_mistakes()
         return model, start
+
+    def _objects(self, model: mujoco.MjModel, mink_tasks: tuple[BaseTask, ...]) -> Objects:
+        """Return what is not the robot; a name that is unknown is a mistake of its task's."""
+        claimed = claimed_by_mink(model, mink_tasks)
+        for claim in (
+            lambda: bodies_of_joints(model, self._config.dofs or ()),
+            *(lambda task=task: task.claimed(model) for task in self._config.tasks),
+        ):
+            with suppress(ModelError, ValueError):
+                claimed += claim()
+        return find_objects(model, claimed)
 
     def _try_solver(self) -> None:
         solver = self._config.solver
@@ -174,10 +196,15 @@ class _Compiler:
         for limit in limits:
             self._try((), lambda limit=limit: limit.compute_qp_inequalities(configuration, 1.0))
 
-    def _terms(self, model: mujoco.MjModel, start: Array) -> tuple[Term, ...]:
+    def _terms(self, model: mujoco.MjModel, start: Array, objects: Objects) -> tuple[Term, ...]:
         made = []
         for index, task in enumerate(self._config.tasks):
-            made.append(self._try(("tasks", index), lambda task=task: task.compile(model, start)))
+            made.append(
+                self._try(
+                    ("tasks", index),
+                    lambda task=task: task.compile(model, start).without(objects, start),
+                )
+            )
         return tuple(term for term in made if term is not None)
 
 
@@ -219,15 +246,14 @@ def start_configuration(model: mujoco.MjModel, config: Config) -> Array:
         ModelError: If the model has no such keyframe or joint.
         ValueError: If a list has the wrong length.
     """
-    home = "home" if "home" in names(model, "keyframe") else None
-    base = resolve_configuration(model, home, model.qpos0)
+    base = resolve_configuration(model, start_keyframe(model, None), model.qpos0)
     return normalized(model, resolve_configuration(model, config.start, base))
 
 
-def _dofs(model: mujoco.MjModel, joints: tuple[str, ...] | None) -> NDArray[np.intp]:
+def _dofs(objects: Objects, joints: tuple[str, ...] | None) -> NDArray[np.intp]:
     if joints is None:
-        return np.arange(model.nv)
-    return np.unique(np.concatenate([dof_of_joint(model, joint) for joint in joints]))
+        return np.flatnonzero(~objects.dofs)
+    return np.unique(np.concatenate([dof_of_joint(objects.model, joint) for joint in joints]))
 
 
 def _metric(model: mujoco.MjModel, config: Config) -> Array:

@@ -1,6 +1,7 @@
 """`Evaluation`: errors and Jacobians of all terms at one configuration, in buffers kept."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from math import isfinite
 from typing import NamedTuple
 
 import mink
@@ -8,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.problem.carrier import Carrier, carrier_of
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Evaluator, Term
 
@@ -74,11 +76,18 @@ class Evaluation:
         self.index = {name: k for k, name in enumerate(names)}
         """The tasks' places in `twists` and `moving`."""
         self.moving = bytearray(len(names))
-        """1 for each task whose target moves, the only ones with a feed-forward."""
+        """1 for each task whose target moves: beside what mocap bodies carry, the only ones with a
+        feed-forward."""
         self.evaluators: dict[type[Term], Evaluator] = {
             kind: kind.evaluator(group, self) for kind, group in zip(classes, groups, strict=True)
         }
         """What evaluates the terms of each class."""
+        self.refused: list[str] = []
+        """What could not be used at the last evaluation, and why: a step then brakes."""
+
+    def carrier(self, body: int) -> Carrier | None:
+        """Return the mocap body that carries a body, if there is one."""
+        return carrier_of(self.model, self.data, self.obstacle_twist, body)
 
     def rows_of(self, terms: Sequence[Term]) -> slice:
         """Return the rows of e that a run of neighbouring terms fills."""
@@ -132,8 +141,27 @@ class Evaluation:
 
     def evaluate(self) -> None:
         """Evaluate every term at the present kinematics and targets."""
-        for evaluate in self.evaluators.values():
-            evaluate()
+        self.run(self.evaluators.items())
+
+    def run(self, evaluators: Iterable[tuple[type[Term], Evaluator]]) -> None:
+        """Evaluate the terms of some classes, and refuse what is not finite."""
+        self.refused.clear()
+        for kind, evaluate in evaluators:
+            self.attempt(kind.__name__, evaluate)
+        parts = (self.error, self.feedforward, self.jacobian)
+        # A sum of squares is finite only if all of them are.
+        if not all(isfinite(np.vdot(part, part)) for part in parts):
+            for term in self.terms:
+                rows = self.rows_of([term])
+                if not all(np.isfinite(part[rows]).all() for part in parts):
+                    self.refused.append(f"{term.name}: its error or its Jacobian is not finite")
+
+    def attempt(self, name: str, action: Callable[..., None], *arguments: object) -> None:
+        """Do what somebody else's code has a part in; what it raises is refused, whatever it is."""
+        try:
+            action(*arguments)
+        except Exception as failure:
+            self.refused.append(f"{name}: {failure or type(failure).__name__}")
 
     def stop(self, name: str) -> None:
         """Forget the velocity of a task's target."""

@@ -15,7 +15,9 @@ from rmrc.config.models import Config
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.box import Box
+from rmrc.problem.limits.extents import FINEST
 from rmrc.problem.limits.speed import FrameSpeed
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.frame import FrameTerm
 
@@ -28,12 +30,15 @@ class Problem:
 
     config: Config
     model: mujoco.MjModel
+    """Its mocap bodies are where the start has them, so that every fresh mjData has them there."""
     start: Array
     """Start configuration (nq,)."""
     dt: float
     """Length of a step, s."""
     dofs: NDArray[np.intp]
     """The dofs that may move (n,), the columns of the program."""
+    objects: Objects
+    """What of the model is not the robot: it is where q says it is, and does not move."""
     terms: tuple[Term, ...]
     metric: Array
     """The constant part of A (nv, nv)."""
@@ -53,6 +58,8 @@ class Problem:
     """What a user should know: defaults at work, and what has no limit."""
     barriers: tuple[BarrierLimit, ...] = ()
     """The distances that stay above 0: collision, workspace, ranges of ball joints."""
+    resolution: float = FINEST
+    """A distance this little below its limit, m or rad, is on it: none is kept more finely."""
     speeds: tuple[FrameSpeed, ...] = ()
     """The largest speeds of frames."""
     deadline: float = math.inf

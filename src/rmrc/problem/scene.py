@@ -5,8 +5,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from rmrc.errors import ModelError, instead
+from rmrc.problem.frames import find, names
 
 MENAGERIE = "menagerie:"
 
@@ -33,6 +35,37 @@ def _compiled(path: Path, modified: int) -> mujoco.MjModel:
     except Exception as failure:  # MuJoCo raises ValueError, and its plugins what they like
         reason = " ".join(str(failure).split())
         raise ModelError(f"scene '{path.name}' does not compile: {reason}") from None
+
+
+def start_keyframe(model: mujoco.MjModel, start: object) -> str | None:
+    """Return the keyframe that a run starts in: the one it names, else `home` where there is one.
+
+    It gives all that the start does not say: coordinates, mocap poses and controls.
+    """
+    if isinstance(start, str):
+        return start
+    return "home" if "home" in names(model, "keyframe") else None
+
+
+def place_mocap_bodies(model: mujoco.MjModel, start: object) -> None:
+    """Have the model's mocap bodies where its start has them, and so every mjData made of it.
+
+    Raises:
+        ModelError: If the model has no such keyframe.
+        ValueError: If a quaternion of its mocap bodies has zero norm.
+    """
+    keyframe = start_keyframe(model, start)
+    if keyframe is None or not model.nmocap:
+        return
+    key = find(model, "keyframe", keyframe)
+    bodies = np.flatnonzero(model.body_mocapid >= 0)
+    quaternions = model.key_mquat[key].reshape(-1, 4)
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    if not (lengths > 0.0).all():
+        raise ValueError(f"keyframe '{keyframe}' turns a mocap body by a quaternion of zero norm")
+    order = model.body_mocapid[bodies]
+    model.body_pos[bodies] = model.key_mpos[key].reshape(-1, 3)[order]
+    model.body_quat[bodies] = (quaternions / lengths)[order]
 
 
 LARGEST_SCENE = 10_000_000

@@ -4,6 +4,7 @@ import math
 
 import mujoco
 import numpy as np
+from mink.tasks import BaseTask
 from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
@@ -15,6 +16,7 @@ from rmrc.qp.cascade import Level
 from rmrc.qp.curvature import Curvature
 from rmrc.qp.damping import Damping, largest_square
 from rmrc.qp.equalities import Equalities
+from rmrc.qp.foreign import checked
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
@@ -57,7 +59,10 @@ class Assembly:
         self.rate = np.empty_like(self._gain)
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
         self._row_rate = self.rate[:rows]
-        self._fed = any(term.joint and not term.gain for term in evaluation.terms)
+        # What mocap bodies carry may move whenever they do.
+        self._fed = bool(problem.model.nmocap) or any(
+            term.joint and not term.gain for term in evaluation.terms
+        )
         self._clamps = [
             (
                 evaluation.error_of(evaluation.error, term)[part],
@@ -105,7 +110,7 @@ class Assembly:
         """
         problem = self._problem
         weights = [largest_square(problem), *np.diagonal(problem.metric)]
-        weights += [problem.inertia * problem.model.dof_M0.max()]
+        weights += [problem.inertia * problem.model.dof_M0[problem.dofs].max()]
         for term in self._evaluation.terms:
             if term.hard:
                 continue
@@ -167,6 +172,10 @@ class Assembly:
         """Write the program at q (nq,) for a step of dt; return whether a joint is outside."""
         self._assemble_objective(dt)
         self.add_mink_tasks(dt)
+        return self.assemble_box(q, dt)
+
+    def assemble_box(self, q: Array, dt: float) -> bool:
+        """Write the box alone; return whether a joint is outside."""
         v_previous, a_previous = self._evaluation.v_previous, self._evaluation.a_previous
         if not self._all:
             v_previous, a_previous = v_previous[self._dofs], a_previous[self._dofs]
@@ -228,7 +237,10 @@ class Assembly:
         share, slope = self.braking.field(v, way, gain, dt)
         if self._problem.cascaded:
             soft = np.concatenate(
-                [np.full(t.rows, 0.0 if t.hard or not t.gain else 1.0 - share) for t in evaluation.terms]
+                [
+                    np.full(t.rows, 0.0 if t.hard or not t.gain else 1.0 - share)
+                    for t in evaluation.terms
+                ]
             )
             self.rate -= soft * unfed
         elif self.braking.jerks and 1 not in evaluation.moving:
@@ -258,19 +270,26 @@ class Assembly:
 
     def add_mink_tasks(self, dt: float) -> None:
         """Add mink's tasks, whose variable is Δq = v dt: divided by dt², W Δq ≈ r is W v ≈ r/dt."""
-        qp, dofs = self.qp, self._dofs
-        configuration = self._evaluation.configuration
         for task in self._problem.mink_tasks:
-            residual = task.compute_qp_residual(configuration)
-            if residual is None:
-                objective = task.compute_qp_objective(configuration)
-                qp.H += self.unit * objective.H[np.ix_(dofs, dofs)]
-                qp.g += self.unit * objective.c[dofs] / dt
-                continue
-            columns = residual[0][:, dofs]
-            qp.H += self.unit * columns.T @ columns
-            qp.H.flat[:: dofs.size + 1] += self.unit * residual[2]
-            qp.g -= self.unit * residual[1] @ columns / dt
+            self._evaluation.attempt(type(task).__name__, self._add_mink_task, task, dt)
+
+    def _add_mink_task(self, task: BaseTask, dt: float) -> None:
+        qp, dofs, nv = self.qp, self._dofs, self._problem.model.nv
+        configuration = self._evaluation.configuration
+        residual = task.compute_qp_residual(configuration)
+        if residual is None:
+            objective = task.compute_qp_objective(configuration)
+            hessian = checked("H", objective.H, (nv, nv))
+            gradient = checked("c", objective.c, (nv,))
+            qp.H += self.unit * hessian[np.ix_(dofs, dofs)]
+            qp.g += self.unit * gradient[dofs] / dt
+            return
+        jacobian, error, damping = residual
+        columns = checked("J", jacobian, (None, nv))[:, dofs]
+        wanted, mu = checked("e", error, (len(columns),)), checked("damping", damping, ())
+        qp.H += self.unit * columns.T @ columns
+        qp.H.flat[:: dofs.size + 1] += self.unit * mu
+        qp.g -= self.unit * wanted @ columns / dt
 
     def metric(self) -> Array:
         """Return A (n, n) at the present assembly, in the configuration's own unit."""

@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.box import Box
 
 Array = NDArray[np.float64]
@@ -57,7 +56,9 @@ class Braking:
             eased = np.maximum(STEADY * a * a / jerk, a / decay - EASED * jerk / decay**2)
             c = np.maximum(0.5 * a * dt, np.where(np.isfinite(jerk), eased, 0.0))
             top = 2.0 * a * left / (np.sqrt(c * c + 2.0 * a * left) + c)
-        share = np.divide(top, speed, out=np.full_like(speed, np.inf), where=moving & ~np.isnan(top))
+        share = np.divide(
+            top, speed, out=np.full_like(speed, np.inf), where=moving & ~np.isnan(top)
+        )
         slowest = int(share.argmin())
         if not share[slowest] < 1.0:
             return 1.0, decay
@@ -70,7 +71,9 @@ class Braking:
         change = TRACKED * box.jerk * dt
         missing = r - v_previous
         with np.errstate(invalid="ignore"):
-            approach = np.sqrt(change * change + 2.0 * TRACKED * box.jerk * np.abs(missing)) - change
+            approach = (
+                np.sqrt(change * change + 2.0 * TRACKED * box.jerk * np.abs(missing)) - change
+            )
         rate = np.clip(-slope * r, -box.acceleration, box.acceleration)
         rate += np.copysign(np.where(np.isfinite(box.jerk), approach, np.inf), missing)
         direct = missing / dt

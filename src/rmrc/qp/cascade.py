@@ -31,7 +31,8 @@ ATTEMPTS = (
 )
 """What is added to the diagonal and to the room of the rows, one pair on top of another, until a
 backend solves. These programs are nearly singular, with more limits at a corner than variables;
-but z = 0 is feasible, so that a refusal is one of rounding. The box still clips v."""
+but z = 0 is feasible, so that a refusal is one of rounding. The box still clips v. Only the first
+point inside the limits may be refused for good."""
 SOUND = 1e-7
 """A residual up to which a solution is taken: of limits in rad/s or m/s, of the others relative to
 the largest of 1 and ‖g‖."""
@@ -130,7 +131,7 @@ class Cascade:
             qp.H[:], qp.g[:], qp.lb[:], qp.ub[:] = np.eye(self._size), 0.0, limits.lb, limits.ub
             qp.C[:], qp.lo[:], qp.hi[:] = limits.C, limits.lo, limits.hi
             qp.E[:], qp.f[:] = limits.E, limits.f
-            entry = solve()
+            entry = solve(refusable=True)
             if entry.status is not SolveStatus.SOLVED:
                 return entry
             state.v = entry.v
@@ -192,15 +193,18 @@ class Cascade:
 
     def _program(
         self, size: int, rows: int, equalities: int = 0
-    ) -> tuple[QP, Callable[[], Solution]]:
-        """Return the program of a shape, kept from step to step, and what solves it."""
+    ) -> tuple[QP, Callable[..., Solution]]:
+        """Return the program of a shape, kept from step to step, and what solves it.
+
+        What is refusable may have no solution; that any other has none is rounding.
+        """
         shape = (size, rows, equalities)
         if shape not in self._solvers:
             qp = QP(*shape)
             self._solvers[shape] = (qp, self._backend(), Certificate(qp))
         qp, backend, certificate = self._solvers[shape]
 
-        def solve() -> Solution:
+        def solve(refusable: bool = False) -> Solution:
             solution = Solution.at_rest(qp)
             for more, wider in ATTEMPTS:
                 if more:
@@ -213,6 +217,8 @@ class Cascade:
                 backend.setup(qp)
                 solution = backend.solve()
                 refused = solution.status is SolveStatus.INFEASIBLE
+                if refused and refusable:
+                    return solution
                 if certificate.certify(solution) > POLISHED and not refused:
                     solution = Polish(qp).improve(solution)
                     certificate.certify(solution)

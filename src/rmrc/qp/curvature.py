@@ -39,9 +39,7 @@ class Curvature:
     beside this is inside the bound, as `tests/unit/test_curvature.py` holds.
     """
 
-    def __init__(
-        self, problem: Problem, evaluation: Evaluation, leveled: Callable[[Term], Array]
-    ):
+    def __init__(self, problem: Problem, evaluation: Evaluation, leveled: Callable[[Term], Array]):
         self._evaluation = evaluation
         model, dofs = problem.model, problem.dofs.tolist()
         self._column = {dof: k for k, dof in enumerate(dofs)}

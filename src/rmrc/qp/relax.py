@@ -1,42 +1,65 @@
 """Rows and equalities that cannot hold together: the least by which they have to give way."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rmrc.qp.backends import create
+from rmrc.qp.backends import Backend, create
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, SolveStatus
+
+Array = NDArray[np.float64]
 
 INCONSISTENT = 1e-6
 """Largest residual of equalities that agree with one another, rad/s or m/s."""
 REST = 1e-10
-"""Weight of ‖v‖² beside that of the violations."""
+"""Weight of ‖v − b‖² beside that of the violations."""
 ROOM = 1e-9
 """What is added to the least violation, so that rounding does not shut out all v."""
 
 
-def least_violation(qp: QP) -> float | None:
+def least_violation(
+    qp: QP, brake: Array, allow: Callable[[Backend], bool]
+) -> tuple[float, Array] | None:
     """Move lo, hi and f, in place, by the least amount that lets some v of the box satisfy them.
 
-    min ½‖s‖² + ½‖t‖² + ½ε‖v‖²  s.t.  lb ≤ v ≤ ub, lo ≤ C v + s ≤ hi, E v + t = f: the limit of an
-    exact penalty, for what violates the rows least comes before all costs. Return the violation,
-    ‖[s; t]‖, which is 0 where there is room after all; None, and nothing is changed, where it was
-    not found.
+    min ½‖s‖² + ½‖t‖² + ½ε‖v − b‖²  s.t.  lb ≤ v ≤ ub,  lo ≤ C v + s ≤ hi,  E v + t = f,
+                                          −max(0, C b − hi) ≤ s ≤ max(0, lo − C b):
+
+    the limit of an exact penalty, for what violates the rows least comes before all costs; and no
+    row is violated more than by the brake b, so that one pair of geoms that should come apart never
+    drives another together. Return the violation ‖[s; t]‖, which is 0 where there is room after
+    all, and v (n,); None, and nothing is changed, where they were not found.
+
+    Args:
+        qp: The program, whose cost is not read.
+        brake: b (n,), a v of the box.
+        allow: Gives a backend the time that is left; returns whether there is any.
     """
     n, rows, equalities = qp.g.size, qp.lo.size, qp.f.size
     slack = QP(n + rows + equalities, rows, equalities)
     slack.H.flat[:: slack.g.size + 1] = 1.0
     slack.H.flat[: n * (slack.g.size + 1) : slack.g.size + 1] = REST
-    slack.lb[:n], slack.ub[:n] = qp.lb, qp.ub
+    slack.g[:n], slack.lb[:n], slack.ub[:n] = -REST * brake, qp.lb, qp.ub
+    braked, given = qp.C @ brake, slice(n, n + rows)
+    slack.lb[given] = -np.maximum(0.0, braked - qp.hi)
+    slack.ub[given] = np.maximum(0.0, qp.lo - braked)
     slack.C[:, :n], slack.lo[:], slack.hi[:] = qp.C, qp.lo, qp.hi
-    slack.C[:, n : n + rows] = np.eye(rows)
+    slack.C[:, given] = np.eye(rows)
     slack.E[:, :n], slack.E[:, n + rows :], slack.f[:] = qp.E, np.eye(equalities), qp.f
     certificate = Certificate(slack)
     for name in ("daqp", "proxqp"):
         solver = create(name)
+        if not allow(solver):
+            return None
         solver.setup(slack)
         solution = solver.solve()
+        if solution.status is SolveStatus.SOLVED:  # once more, from there: b is to leave no trace
+            slack.g[:n] = -REST * solution.v[:n]
+            solver.update(slack)
+            solution = solver.solve()
         certificate.certify(solution)
         if solution.status is SolveStatus.SOLVED and solution.kkt.primal < INCONSISTENT:
             break
@@ -48,4 +71,4 @@ def least_violation(qp: QP) -> float | None:
     np.maximum(qp.hi, activity + ROOM, out=qp.hi)
     qp.f[:] = qp.E @ v
     violation = solution.v[n:]
-    return math.sqrt(violation.dot(violation))
+    return math.sqrt(violation.dot(violation)), v

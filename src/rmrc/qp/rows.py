@@ -3,19 +3,20 @@
 import math
 from dataclasses import dataclass
 
+import mink
 import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.barrier import Barrier, Near
+from rmrc.problem.limits.slides import Slides
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
+from rmrc.qp.foreign import checked
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
 
-PASSED = 1e-6
-"""A distance this little below 0, m or rad, is on its limit: MuJoCo's measurements are no finer."""
 STOPPING = 0.5
 """Share of the deceleration along a barrier's slope that is counted on: the joints do not brake in
 the proportions of the slope."""
@@ -73,6 +74,7 @@ class Rows:
         self._inverse_acceleration = 1.0 / problem.box.acceleration  # 0 where there is no limit
         self._stops = bool(self._inverse_acceleration.any())
         self._travel = np.zeros(model.nv)
+        self._slides = Slides(model, evaluation.obstacle_twist)
 
     def update(self, qp: QP, rate: Array, dt: float) -> None:
         """Write the rows at the present kinematics for a step of dt with ẋ of all terms.
@@ -94,7 +96,10 @@ class Rows:
         travel = fastest * dt
         if self._stops:
             travel += 0.5 * fastest * fastest * self._inverse_acceleration
+        self._travel.fill(0.0)
         self._travel[dofs] = travel
+        self._slides.begin(self._evaluation.data.qpos, self._travel)
+        self._slides.stretch(self._travel, dt)
         for barrier in self.barriers:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:
@@ -137,7 +142,7 @@ class Rows:
         fastest -= ROUNDING * np.abs(fastest)
         beyond = lower > fastest
         lower[beyond] = fastest[beyond]
-        self.passed |= bool(distance.min() < -PASSED)
+        self.passed |= bool(distance.min() < -self._problem.resolution)
         return lower
 
     def _stopping(self, distance: Array, slope: Array, dt: float) -> Array:
@@ -160,12 +165,20 @@ class Rows:
 
     def _mink_rows(self, dt: float) -> list[tuple[Array, Array]]:
         """Return the rows C v ≤ hi of mink's limits, which say G Δq ≤ h."""
-        found = []
+        found: list[tuple[Array, Array]] = []
         for limit in self._problem.mink_limits:
-            constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
-            if constraint.G is not None and constraint.h is not None:
-                found.append((constraint.G[:, self._problem.dofs], constraint.h / dt))
+            self._evaluation.attempt(type(limit).__name__, self._add_mink_rows, found, limit, dt)
         return found
+
+    def _add_mink_rows(
+        self, found: list[tuple[Array, Array]], limit: mink.Limit, dt: float
+    ) -> None:
+        constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
+        if constraint.G is None or constraint.h is None:
+            return
+        rows = checked("G", constraint.G, (None, self._problem.model.nv))
+        upper = checked("h", constraint.h, (len(rows),), unlimited=True)
+        found.append((rows[:, self._problem.dofs], upper / dt))
 
     def kept(self) -> "KeptRows":
         """Return what the present rows are of, for later."""

@@ -22,6 +22,8 @@ class Channel:
     values: Array
     lower: float
     upper: float
+    dof: int
+    """Which degree of freedom it is of, of an angle of several the first."""
 
     @property
     def excess(self) -> Array:
@@ -35,7 +37,7 @@ class Channel:
 
 
 def positions(model: dict[str, Any], q: Array) -> list[Channel]:
-    """Return the positions of all joints.
+    """Return the positions of the robot's joints.
 
     A hinge or slide is its coordinate, a ball its rotation angle in [0, π], a free joint
     x, y, z and its rotation angle.
@@ -47,24 +49,24 @@ def positions(model: dict[str, Any], q: Array) -> list[Channel]:
     channels = []
     for joint in model["joints"]:
         first, lower, upper = joint["qpos"], *(joint["range"] or (-np.inf, np.inf))
-        name = joint["name"]
+        name, dof = joint["name"], joint["dof"]
         if joint["type"] == "ball":
             angle = _rotation_angle(q[:, first : first + 4])
-            channels.append(Channel(f"{name} angle", "rad", angle, -upper, upper))
+            channels.append(Channel(f"{name} angle", "rad", angle, -upper, upper, dof))
         elif joint["type"] == "free":
             channels += [
-                Channel(f"{name} {axis}", "m", q[:, first + i], -np.inf, np.inf)
+                Channel(f"{name} {axis}", "m", q[:, first + i], -np.inf, np.inf, dof + i)
                 for i, axis in enumerate(_AXES)
             ]
             angle = _rotation_angle(q[:, first + 3 : first + 7])
-            channels.append(Channel(f"{name} angle", "rad", angle, -np.inf, np.inf))
+            channels.append(Channel(f"{name} angle", "rad", angle, -np.inf, np.inf, dof + 3))
         else:
-            channels.append(Channel(name, joint["unit"], q[:, first], lower, upper))
+            channels.append(Channel(name, joint["unit"], q[:, first], lower, upper, dof))
     return channels
 
 
 def rates(model: dict[str, Any], values: Array, bound: Rate) -> list[Channel]:
-    """Return the velocities, accelerations or jerks of all degrees of freedom, in their order.
+    """Return the velocities, accelerations or jerks of the robot's degrees of freedom, in order.
 
     Args:
         model: The manifest's `model`; a joint's `velocity`, `acceleration` or `jerk` is its
@@ -86,7 +88,9 @@ def rates(model: dict[str, Any], values: Array, bound: Rate) -> list[Channel]:
         else:
             parts = [("", joint["unit"], largest)]
         channels += [
-            Channel(joint["name"] + part, unit + per_second, values[:, first + i], -cap, cap)
+            Channel(
+                joint["name"] + part, unit + per_second, values[:, first + i], -cap, cap, first + i
+            )
             for i, (part, unit, cap) in enumerate(parts)
         ]
     return channels

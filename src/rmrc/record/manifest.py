@@ -24,7 +24,10 @@ _TYPES = {
 
 
 def manifest(problem: Problem, statuses: list[str]) -> dict[str, Any]:
-    """Return everything of a run's manifest but its summary."""
+    """Return everything of a run's manifest but its summary.
+
+    Its joints are those of the robot; of the objects the names are there.
+    """
     config = problem.config.resolved()
     text = json.dumps(config, sort_keys=True)
     return {
@@ -53,7 +56,7 @@ def _model(problem: Problem) -> dict[str, Any]:
     rates[:, problem.dofs] = box.velocity, box.acceleration, box.jerk
     ranges = held_ranges(model, problem.config.limits)
     joints = []
-    for joint in range(model.njnt):
+    for joint in problem.objects.robot_joints():
         kind, unit = _TYPES[joint_type(model, joint)]
         first = joint_dofs(model, joint)[0]
         velocity, acceleration, jerk = (_finite(float(rate)) for rate in rates[:, first])
@@ -71,7 +74,13 @@ def _model(problem: Problem) -> dict[str, Any]:
                 "jerk": jerk,
             }
         )
-    return {"nq": model.nq, "nv": model.nv, "mocap": 7 * model.nmocap, "joints": joints}
+    return {
+        "nq": model.nq,
+        "nv": model.nv,
+        "mocap": 7 * model.nmocap,
+        "joints": joints,
+        "objects": [problem.objects.name(root) for root in problem.objects.roots],
+    }
 
 
 def _finite(value: float) -> float | None:

@@ -207,21 +207,22 @@ def _joint_panel(
     """Return a panel of joints, each with its own limits and its largest share of them."""
     limit = max(1000, min(TRACE_POINTS, PANEL_POINTS // max(1, len(channels))))
     traces = []
-    for i, channel in enumerate(channels):
+    for channel in channels:
         trace = _trace(run.time, channel.name, channel.values, limit, unit=channel.unit)
         if channel.bounded:
             middle, half = (channel.lower + channel.upper) / 2, (channel.upper - channel.lower) / 2
             peak = float(np.fmax.reduce(np.abs(channel.values - middle), initial=0.0)) / half
             trace |= {"lower": channel.lower, "upper": channel.upper, "peak": peak}
         if measured is not None:
-            trace["measured"] = _trace(run.time, "measured", measured[:, i], limit)
+            trace["measured"] = _trace(run.time, "measured", measured[:, channel.dof], limit)
         traces.append(trace)
     return {"kind": "joints", "title": title, "traces": traces}
 
 
 def _velocity_panel(run: "Run") -> Panel:
-    followed_exactly = np.array_equal(run.v, run.v_measured, equal_nan=True)
     channels = rates(run.manifest["model"], run.v, "velocity")
+    dofs = [channel.dof for channel in channels]
+    followed_exactly = np.array_equal(run.v[:, dofs], run.v_measured[:, dofs], equal_nan=True)
     measured = None if followed_exactly else run.v_measured
     return _joint_panel(run, "Joint velocities", channels, measured)
 
@@ -263,11 +264,11 @@ def _status_panel(run: "Run") -> Panel | None:
 
 def _active_panel(run: "Run") -> Panel | None:
     """Return the strips of the joints that have had an active bound; None where none has."""
-    names = [channel.name for channel in rates(run.manifest["model"], run.v, "velocity")]
     # 0 none, 1 lower, 2 upper.
     rows = {
-        names[i]: np.where(run.active[:, i] < 0, 1, 2 * run.active[:, i])
-        for i in np.flatnonzero(run.active.any(axis=0))
+        channel.name: np.where(active < 0, 1, 2 * active)
+        for channel in rates(run.manifest["model"], run.v, "velocity")
+        if (active := run.active[:, channel.dof]).any()
     }
     if not rows:
         return None

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.qp.rows import PASSED
 from rmrc.record.channels import Channel, positions, rates
 
 Array = NDArray[np.float64]
@@ -32,6 +31,7 @@ def summarize(
     tolerance: Mapping[str, float],
     converging: Mapping[str, Collection[int]],
     least: Mapping[str, tuple[float, str, str]],
+    resolution: float,
 ) -> dict[str, Any]:
     """Return the summary of a run of N steps.
 
@@ -52,6 +52,7 @@ def summarize(
         converging: The tasks that must converge, and which columns of their errors.
         least: The least room of each kind of limit on distances and speeds, its unit, and what it
             is of.
+        resolution: How finely distances are kept, m.
     """
     converged = len(q) > 0 and all(
         bool(error[name][-1, column] <= tolerance[tasks[name]["units"][column]])
@@ -66,7 +67,7 @@ def summarize(
         "backend": backend,
         "method": method,
         "tasks": {name: _task(error[name], task["units"]) for name, task in tasks.items()},
-        "limits": _limits(dt, q, v, model, least),
+        "limits": _limits(dt, q, v, model, least, resolution),
         "status": {
             name: int(number) for name, number in zip(statuses, counts, strict=True) if number
         },
@@ -98,6 +99,7 @@ def _limits(
     v: Array,
     model: dict[str, Any],
     least: Mapping[str, tuple[float, str, str]],
+    resolution: float,
 ) -> dict[str, Any]:
     """Return how far each kind of limit was passed."""
     rest = np.zeros((1, v.shape[1]))
@@ -108,7 +110,10 @@ def _limits(
         "velocity": _violation(rates(model, v, "velocity")),
         "acceleration": _violation(rates(model, acceleration, "acceleration")),
         "jerk": _violation(rates(model, jerk, "jerk"), ROUNDING / dt),
-        **{kind: _passed(least.get(kind)) for kind in ("collision", "workspace", "speed")},
+        **{
+            kind: _passed(least.get(kind), resolution)
+            for kind in ("collision", "workspace", "speed")
+        },
     }
 
 
@@ -125,9 +130,9 @@ def _violation(channels: Sequence[Channel], rounding: float = ROUNDING) -> dict[
     return largest
 
 
-def _passed(least: tuple[float, str, str] | None) -> dict[str, Any]:
+def _passed(least: tuple[float, str, str] | None, resolution: float) -> dict[str, Any]:
     """Return how far a limit is passed where the room is least, and what it is of."""
-    if least is None or least[0] >= -(PASSED if least[1] == "m" else ROUNDING):
+    if least is None or least[0] >= -(resolution if least[1] == "m" else ROUNDING):
         return {"max_violation": 0.0, "joint": None, "unit": None}
     room, unit, name = least
     return {"max_violation": -room, "joint": name, "unit": unit}

@@ -73,7 +73,10 @@ class Barrier(ABC):
 
     @abstractmethod
     def reach(self, ids: NDArray[np.intp], step: Array, dt: float) -> Array:
-        """Return the most by which h of some entries (k,) can fall in a step |Δq| (nv,) of dt."""
+        """Return the most by which h of some entries (k,) can fall in a step |Δq| (nv,) of dt.
+
+        The step, as the travel of `near`, has been stretched by `Slides`.
+        """
 
     def thickness(self, ids: NDArray[np.intp]) -> Array:
         """Return how far some entries (k,) may move between two looks, not to pass unnoticed."""

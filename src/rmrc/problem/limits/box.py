@@ -1,6 +1,5 @@
 """The limits of the joints, from position to jerk: one box in velocity, never empty."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +31,26 @@ class Box:
     """a_max, rad/s² or m/s²."""
     jerk: Array
     """j_max, rad/s³ or m/s³."""
-    step: float = math.inf
+    step: Array
     """Most that a joint moves in a step, rad or m, whatever its other limits are."""
+    balls: NDArray[np.intp]
+    """The first of the three entries of each ball joint."""
+
+
+def braking(box: Box, speed: Array, dt: float) -> tuple[Array, Array]:
+    """Return the steps of dt that |v| (n,) takes to rest, and by how much it falls in each.
+
+    Each joint brakes at its a_max; a ball joint in proportion to its rates, no faster than the one
+    of them that takes longest, so that it goes on about the axis that it turns about.
+    """
+    change = box.acceleration * dt
+    steps = speed / change
+    for first in box.balls.tolist():
+        three = slice(first, first + 3)
+        longest = steps[three].max()
+        if longest > 0.0:
+            steps[three], change[three] = longest, speed[three] / longest
+    return steps, change
 
 
 class BoxLimit:

@@ -8,39 +8,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.config.limits import CollisionLimit
+from rmrc.problem.configuration import turning_dofs
+from rmrc.problem.limits import extents
+from rmrc.problem.limits.always_near import Whereabouts
 from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
-from rmrc.problem.limits.extents import half_thickness, levers
 from rmrc.problem.limits.movement import Movement
 from rmrc.problem.limits.pairs import pair_name, resolve_pairs
 from rmrc.problem.limits.separation import Separation, Turning
+from rmrc.problem.objects import Objects
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
 LEAVE = 1.2
 """A pair limits the motion until it is this multiple of the distance away at which it began to."""
-FARTHEST = 100.0
-"""Distance in m from which on it does not matter how far two geoms are apart."""
-SPARE = 0.05
-"""Room in m that the bounding spheres must leave for the distance not to be measured."""
-TOUCHING = 1e-9
-"""Distance in m of the nearest points up to which they give no direction."""
-BLURRED = 1e-3
-"""Distance in m up to which the solver's tolerance turns a plane between two geoms too far, and by
-how much the plane may be off beyond that."""
+FARTHEST = 1e10
+"""Distance or travel in m from which on it does not matter how far: MuJoCo's own largest."""
+TOUCHING = 1e-3
+"""Distance of the nearest points, in resolutions, up to which they give no direction."""
+BLURRED = 1e3
+"""Distance, in resolutions and times the size of a model above 1 m, up to which the solver's
+tolerance turns a plane between two geoms too far, and by how much it may be off beyond that."""
 
 
 def collision_pairs(
-    model: mujoco.MjModel, limit: CollisionLimit
+    model: mujoco.MjModel,
+    limit: CollisionLimit,
+    where: Whereabouts | None = None,
+    objects: Objects | None = None,
 ) -> tuple["CollisionPairs", list[str]]:
     """Resolve a `collision` limit; the notices say what it leaves out.
+
+    Args:
+        model: The model.
+        limit: The limit.
+        where: Where the joints may be; by default in the model's ranges.
 
     Raises:
         FieldError: If a name is unknown, or an entry of `pairs` comes to nothing.
         ModelError: If the scene disables MuJoCo's own convex collision detection.
     """
-    geoms, notices = resolve_pairs(model, limit)
+    geoms, notices = resolve_pairs(model, limit, where, objects)
     pairs = CollisionPairs(
         geoms=geoms, d_min=limit.d_min, detect=limit.detect, gain=limit.gain, push=limit.push
     )
@@ -95,16 +104,22 @@ class Collision(Barrier):
         self._radii = model.geom_rbound[spec.geoms].sum(axis=1)
         self._measures = [(a, b, is_capsule_and_box(model, a, b)) for a, b in spec.geoms.tolist()]
         self._mocap = model.body_mocapid[model.body_rootid[self._bodies]]
-        first, second = levers(model, spec.geoms)
+        first, second = extents.levers(model, spec.geoms)
         self._levers, self._longest = first + second, (first + second).max(axis=0)
         # The dofs that move a pair by moving b, 1, or by moving a, −1.
         self._side = (np.sign(second) - np.sign(first))[:, : model.nv]
         self._turning = Turning(model, spec.geoms)
-        carries = self._side * self._turning.sign < 0.0  # the dofs that move the plane
-        # The levers of a chain grow towards its root, but not across the root to another chain.
-        moves = (self._levers[:, : model.nv] > 0.0) * (1.0 + carries.any(axis=1, keepdims=True))
-        self._carries, self._moves = carries.astype(float), moves
-        ball = {g: half_thickness(model, g) for g in np.unique(spec.geoms).tolist()}
+        turning, moving = turning_dofs(model), self._levers[:, : model.nv] > 0.0
+        carries = (self._side * self._turning.sign < 0.0) & turning  # the dofs that turn the plane
+        # The levers of a chain of hinges grow towards its root, but not across the root to another
+        # chain; and what slides in what turns is accelerated by twice the product of the two.
+        twice = carries.any(axis=1) | (moving & ~turning).any(axis=1)
+        self._carries = carries.astype(float)
+        self._moves = (moving & turning) * (1.0 + twice[:, None])
+        resolution = extents.resolution(model)
+        self._touching = TOUCHING * resolution
+        self._blurred = BLURRED * resolution * max(1.0, extents.size(model))
+        ball = {g: extents.half_thickness(model, g) for g in np.unique(spec.geoms).tolist()}
         self._thickness = self._d_min + np.array([min(ball[a], ball[b]) for a, b in spec.geoms])
         self._dof_root = model.body_rootid[model.dof_bodyid]
         self._movement = Movement(model, spec.geoms)
@@ -192,7 +207,7 @@ class Collision(Barrier):
     def planes(self, data: mujoco.MjData, ids: Ids) -> Separation:
         """Return planes between some active pairs (k,), as they were last given by `near`."""
         distance = self._distance[ids]
-        known = np.where(distance > BLURRED, distance - BLURRED - self._d_min, -np.inf)
+        known = np.where(distance > self._blurred, distance - self._blurred - self._d_min, -np.inf)
         return Separation(data, self._turning, ids, known, self._normals[ids])
 
     def motion(self, ids: Ids, reach: Array) -> tuple[Array, Array, Array]:
@@ -232,6 +247,7 @@ class Collision(Barrier):
             "width": turning.width,
             "sign": turning.sign,
             "carries": self._carries,
+            "precision": np.array([self._touching, self._blurred]),
             "moves": self._moves,
         }
         kept = {
@@ -316,7 +332,7 @@ class Collision(Barrier):
         height = np.einsum("ij,ij->i", apart, data.geom_xmat[first, 2::3])
         length = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         distance = np.where(self._plane[pairs], height, length) - self._radii[pairs]
-        far = distance > level[pairs] + SPARE
+        far = distance > level[pairs] + self._detect
         self._bound[pairs[far]] = distance[far]
         return pairs[~far]
 
@@ -338,7 +354,7 @@ class Collision(Barrier):
         segments = self._segments[ids]
         normals = segments[:, 3:] - segments[:, :3]
         lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
-        lost = (~(lengths > TOUCHING)).nonzero()[0]
+        lost = (~(lengths > self._touching)).nonzero()[0]
         lengths = np.copysign(lengths, self._distance[ids])
         for k in lost.tolist():
             pair, (a, b) = ids[k], self._geoms[ids[k]]

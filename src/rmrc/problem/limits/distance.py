@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
@@ -19,7 +20,7 @@ ASIDE, AGAIN = 1e-10, 6
 
 
 def is_capsule_and_box(model: mujoco.MjModel, a: int, b: int) -> bool:
-    """Return whether two geoms, ordered by type, need `signed_distance` to look twice."""
+    """Return whether the distance of two geoms, ordered by type, is our own."""
     return model.geom_type[a] == _CAPSULE and model.geom_type[b] == _BOX
 
 
@@ -40,11 +41,9 @@ def signed_distance(
         segment: Gets the nearest points (6,) of a and of b, with b − a = d n for the normal n
             from a to b, where the distance is below `most`.
     """
-    a, b, doubtful = pair
-    if doubtful:
-        d = _pierced_distance(model, data, a, b, segment)
-        if d is not None:
-            return d
+    a, b, is_ours = pair
+    if is_ours:
+        return min(_capsule_and_box(model, data, a, b, segment), most)
     d = mujoco.mj_geomDistance(model, data, a, b, most, segment)
     return d if d != 0.0 else _measured_again(model, data, (a, b), most, segment)
 
@@ -68,20 +67,77 @@ def _measured_again(
     return d
 
 
-def _pierced_distance(
+def _capsule_and_box(
     model: mujoco.MjModel, data: mujoco.MjData, capsule: int, box: int, segment: Array
-) -> float | None:
-    """Return the distance of a capsule whose axis passes through a box; None for any other.
+) -> float:
+    """Return the distance of a capsule and a box, and the nearest points of the two.
 
-    `mj_geomDistance` takes the axis' distance from the box there, which is 0 or that of another
-    part of the capsule, so that it may call the two apart. The overlap of a segment and a box is
-    least along a normal of the box's faces or along a perpendicular of the segment and an edge.
+    `mj_geomDistance` has no distance of a capsule whose axis passes through the box: it takes the
+    axis' own there, which is 0, or that of another part of the capsule, so that it may call the two
+    apart. And it knows lengths below a millimetre no better than to a tenth.
     """
     turn, turned = data.geom_xmat[box].tolist(), data.geom_xmat[capsule, 2::3].tolist()
     apart = (data.geom_xpos[capsule] - data.geom_xpos[box]).tolist()
     c, u = _in_axes(turn, apart), _in_axes(turn, turned)  # centre and direction, in the box's axes
     s = model.geom_size[box].tolist()
     radius, half = model.geom_size[capsule, :2].tolist()
+    pierced = _pierced(c, u, s, half)
+    if pierced is None:
+        along = _nearest(c, u, s, half)
+        axis = [
+            min(max(x + along * w, -r), r) - (x + along * w)
+            for x, w, r in zip(c, u, s, strict=True)
+        ]
+        gap = sqrt(sum(x * x for x in axis))
+        axis = [x / (gap or 1.0) for x in axis]
+        d = gap - radius
+    else:
+        overlap, axis, along = pierced
+        d = -(overlap + radius)
+    normal = data.geom_xmat[box].reshape(3, 3) @ axis
+    segment[:3] = data.geom_xpos[capsule] + along * np.array(turned) + radius * normal
+    segment[3:] = segment[:3] + d * normal
+    return d
+
+
+def _nearest(c: Vector, u: Vector, s: list[float], half: float) -> float:
+    """Return where on the segment c + t u, |t| ≤ half, the distance from a box is least.
+
+    Half its square has the slope Σ uᵢ (what coordinate i is beyond the box), which grows with t,
+    in a straight line between the places where a coordinate enters or leaves the box.
+    """
+
+    def slope(t: float) -> float:
+        way = 0.0
+        for x, w, r in zip(c, u, s, strict=True):
+            at = x + t * w
+            way += w * (at - min(max(at, -r), r))
+        return way
+
+    low, high = -half, half
+    slope_low, slope_high = slope(low), slope(high)
+    if slope_low >= 0.0 or slope_high <= 0.0:
+        return low if slope_low >= 0.0 else high
+    for x, w, r in zip(c, u, s, strict=True):
+        for end in (-r, r):
+            t = (end - x) / w if w else low
+            if low < t < high:
+                at = slope(t)
+                if at < 0.0:
+                    low, slope_low = t, at
+                else:
+                    high, slope_high = t, at
+    return low + (high - low) * (slope_low / (slope_low - slope_high))
+
+
+def _pierced(
+    c: Vector, u: Vector, s: list[float], half: float
+) -> tuple[float, list[float], float] | None:
+    """Return by how much a segment overlaps a box, along which axis, and where on the segment.
+
+    None where it does not. The overlap is least along a normal of the box's faces or along a
+    perpendicular of the segment and an edge.
+    """
     least, axis, edge = np.inf, [0.0, 0.0, 0.0], -1
     for i in range(3):
         overlap = s[i] + half * abs(u[i]) - abs(c[i])
@@ -110,14 +166,10 @@ def _pierced_distance(
         corner = {m: -copysign(s[m], axis[m]) for m in (j, k)}
         gap = sum((corner[m] - c[m]) * u[m] for m in (j, k))
         along = gap / (u[j] ** 2 + u[k] ** 2)
-    d = -(least + radius)
-    normal = data.geom_xmat[box].reshape(3, 3) @ axis
-    segment[:3] = data.geom_xpos[capsule] + along * np.array(turned) + radius * normal
-    segment[3:] = segment[:3] + d * normal
-    return d
+    return least, axis, along
 
 
-def _in_axes(turn: list[float], v: list[float]) -> tuple[float, float, float]:
+def _in_axes(turn: list[float], v: list[float]) -> Vector:
     """Return the components of a vector along the columns of a rotation matrix (9,)."""
     x, y, z = v
     return (

@@ -1,15 +1,17 @@
-"""How far geoms reach and how far a joint can move them: bounds over all configurations."""
+"""How far geoms reach and how far a joint can move them, at most."""
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.problem.configuration import turning_dofs
+
 Array = NDArray[np.float64]
 
-PLANE_EXTENT = 1e3
-"""Half the side in m that a plane counts with where it turns."""
-SLIDE_TRAVEL = 10.0
-"""Travel in m from its zero that a slide without a range counts with."""
+PLANE_EXTENT = 1e100
+"""Half the side in m of a plane: it has no end, but 0 · ∞ would be no number."""
+FINEST, SMALL = 1e-6, 0.1
+"""Resolution of MuJoCo's distances in m or rad, and the size in m below which it is finer."""
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
@@ -36,9 +38,10 @@ def extents(model: mujoco.MjModel) -> Array:
 def levers(model: mujoco.MjModel, geoms: NDArray[np.intp]) -> Array:
     """Return how fast each dof can move the one and the other geom of pairs, at most.
 
-    The distance of a pair changes by no more than levers · |Δ|, wherever the joints are in their
-    ranges: a rotation moves a point by its distance from the axis, which is no longer than the
-    chain of links to it, and a dof that moves both geoms does not change their distance.
+    The distance of a pair changes by no more than levers · |Δ|: a rotation moves a point by its
+    distance from the axis, which is no longer than the chain of links to it, and a dof that moves
+    both geoms does not change their distance. Slides count up to the end of the model's range:
+    what they may be further out, `Slides` adds to Δ.
 
     Args:
         model: The model.
@@ -58,10 +61,11 @@ def levers(model: mujoco.MjModel, geoms: NDArray[np.intp]) -> Array:
     return np.where((sides > 0.0).all(axis=0), 0.0, sides)
 
 
-def body_levers(model: mujoco.MjModel, body: int, reach: float) -> Array:
+def body_levers(model: mujoco.MjModel, body: int, reach: float, unlimited: float = 0.0) -> Array:
     """Return the levers (nv + 6 nmocap,) of a body's points, walking from it to the world.
 
-    They are no further than `reach` in m from the body's origin.
+    They are no further than `reach` in m from the body's origin. `unlimited` is the travel in m
+    from its zero that a slide without a range counts with.
     """
     row = np.zeros(model.nv + 6 * model.nmocap)
     while body:
@@ -71,7 +75,7 @@ def body_levers(model: mujoco.MjModel, body: int, reach: float) -> Array:
             offset = float(np.linalg.norm(model.jnt_pos[joint]))
             if kind == _SLIDE:
                 row[dof] = 1.0
-                reach += _travel(model, joint)
+                reach += counted_travel(model, joint) if model.jnt_limited[joint] else unlimited
             elif kind == _FREE:
                 row[dof : dof + 3], row[dof + 3 : dof + 6] = 1.0, reach
             else:
@@ -86,11 +90,28 @@ def body_levers(model: mujoco.MjModel, body: int, reach: float) -> Array:
     return row
 
 
-def _travel(model: mujoco.MjModel, joint: int) -> float:
-    if not model.jnt_limited[joint]:
-        return SLIDE_TRAVEL
-    zero = model.qpos0[model.jnt_qposadr[joint]]
-    return float(np.abs(model.jnt_range[joint] - zero).max())
+def counted_travel(model: mujoco.MjModel, slide: int) -> float:
+    """Return the travel of a slide from its zero that levers count, m: 0 without a range."""
+    if not model.jnt_limited[slide]:
+        return 0.0
+    zero = model.qpos0[model.jnt_qposadr[slide]]
+    return float(np.abs(model.jnt_range[slide] - zero).max())
+
+
+def size(model: mujoco.MjModel) -> float:
+    """Return the length in m of the longest chain of what moves, the geoms included."""
+    solid = np.where(model.geom_type == _PLANE, 0.0, extents(model))
+    reach, turning, longest = np.zeros(model.nbody), turning_dofs(model), 0.0
+    np.maximum.at(reach, model.geom_bodyid, solid)
+    for body in np.flatnonzero(dofs_of_bodies(model).any(axis=1)).tolist():
+        levers_of_turning = body_levers(model, body, reach[body])[: model.nv][turning]
+        longest = max(longest, reach[body], levers_of_turning.max(initial=0.0))
+    return longest or 1.0
+
+
+def resolution(model: mujoco.MjModel) -> float:
+    """Return how finely distances are kept in m: 1e-6, and 1e-5 of the size of a small model."""
+    return FINEST * min(1.0, size(model) / SMALL)
 
 
 def half_thickness(model: mujoco.MjModel, geom: int) -> float:

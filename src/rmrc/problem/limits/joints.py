@@ -15,6 +15,7 @@ from rmrc.problem.actuators import servos
 from rmrc.problem.configuration import free_dofs, joint_dofs, joint_type
 from rmrc.problem.frames import find, names
 from rmrc.problem.limits.box import RANGE_ROUNDING, Box
+from rmrc.problem.objects import Objects
 
 Array = NDArray[np.float64]
 Value = TypeVar("Value")
@@ -30,31 +31,33 @@ _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 
 
 def compile_box(
-    model: mujoco.MjModel, limits: LimitsModel, mistakes: list[Mistake]
+    objects: Objects, limits: LimitsModel, mistakes: list[Mistake]
 ) -> tuple[Box, list[str]]:
-    """Return the limits of all dofs, and what a user should know of them.
+    """Return the limits of all dofs, and what a user should know of those of the robot.
 
     Args:
-        model: The model.
+        objects: What of the model is not the robot.
         limits: The configuration's limits.
         mistakes: Where to add what does not fit the model.
     """
-    notices: list[str] = []
-    lower, upper = _positions(model, limits, notices, mistakes)
+    model, notices = objects.model, []
+    lower, upper = _positions(objects, limits, notices, mistakes)
     box = Box(
         coordinate=_coordinates(model),
         lower=lower,
         upper=upper,
         gain=1.0 if limits.position == "off" else limits.position.gain,
-        velocity=_velocities(model, limits, notices, mistakes),
+        velocity=_velocities(objects, limits, notices, mistakes),
         acceleration=_per_joint(model, "acceleration", limits.acceleration, mistakes),
         jerk=_per_joint(model, "jerk", limits.jerk, mistakes),
+        step=np.full(model.nv, np.inf),
+        balls=model.jnt_dofadr[model.jnt_type == _BALL].astype(np.intp),
     )
     return box, notices
 
 
 def select(box: Box, dofs: NDArray[np.intp]) -> Box:
-    """Return the limits of some dofs."""
+    """Return the limits of the dofs of some joints, in ascending order."""
     return Box(
         coordinate=box.coordinate[dofs],
         lower=box.lower[dofs],
@@ -63,6 +66,8 @@ def select(box: Box, dofs: NDArray[np.intp]) -> Box:
         velocity=box.velocity[dofs],
         acceleration=box.acceleration[dofs],
         jerk=box.jerk[dofs],
+        step=box.step[dofs],
+        balls=np.searchsorted(dofs, box.balls[np.isin(box.balls, dofs)]),
     )
 
 
@@ -125,9 +130,10 @@ def _ranges(model: mujoco.MjModel, limits: LimitsModel) -> tuple[Array, list[_So
 
 
 def _positions(
-    model: mujoco.MjModel, limits: LimitsModel, notices: list[str], mistakes: list[Mistake]
+    objects: Objects, limits: LimitsModel, notices: list[str], mistakes: list[Mistake]
 ) -> tuple[Array, Array]:
-    """Return q_min + margin and q_max − margin (nv,) of the hinges and slides."""
+    """Return q_min + margin and q_max − margin (nv,) of the robot's hinges and slides."""
+    model, robot = objects.model, objects.robot_joints()
     lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
     if limits.position == "off":
         notices.append("position limits are off")
@@ -135,7 +141,7 @@ def _positions(
     named, margin = limits.position.named, limits.position.margin
     _check_names(model, "position", named, mistakes)
     held, sources = _ranges(model, limits)
-    for joint, (low, high) in enumerate(held):
+    for joint, (low, high) in zip(robot, held[robot], strict=True):
         name, ball = joint_name(model, joint), joint_type(model, joint) == _BALL
         if ball and name in named and not 0.0 == low < high:
             message = f"'{name}' is a ball joint: its range is [0, its largest angle]"
@@ -154,8 +160,8 @@ def _positions(
     for source in _Source:
         joints = [
             joint
-            for joint, other in enumerate(sources)
-            if other is source and source.value and joint_type(model, joint) != _FREE
+            for joint in robot
+            if sources[joint] is source and source.value and joint_type(model, joint) != _FREE
         ]
         if joints:
             notices.append(f"{source}: {listed(model, joints)}")
@@ -163,15 +169,16 @@ def _positions(
 
 
 def _velocities(
-    model: mujoco.MjModel, limits: LimitsModel, notices: list[str], mistakes: list[Mistake]
+    objects: Objects, limits: LimitsModel, notices: list[str], mistakes: list[Mistake]
 ) -> Array:
     """Return v_max (nv,): as stated; else of the velocity actuators; else the default cap."""
+    model = objects.model
     speed = _per_joint(model, "velocity", limits.velocity, mistakes)
     if limits.velocity == "off":
         notices.append("velocity limits are off")
     else:
         controls = _velocity_controls(model)
-        unstated = [j for j in range(model.njnt) if joint_type(model, j) != _FREE]
+        unstated = [j for j in objects.robot_joints() if joint_type(model, j) != _FREE]
         unstated = [j for j in unstated if np.isinf(speed[model.jnt_dofadr[j]])]
         controlled = [joint for joint in unstated if np.isfinite(controls[joint])]
         capped = [joint for joint in unstated if np.isinf(controls[joint])]
@@ -191,7 +198,7 @@ def _velocities(
                 f"{listed(model, capped)}"
             )
     base = BaseLimit() if limits.base == "off" else limits.base
-    free = free_dofs(model).reshape(-1, 6)
+    free = np.setdiff1d(free_dofs(model), np.flatnonzero(objects.dofs)).reshape(-1, 6)
     speed[free[:, :3]], speed[free[:, 3:]] = base.linear or np.inf, base.angular or np.inf
     without = [kind for kind in ("linear", "angular") if getattr(base, kind) is None]
     if free.size and without:

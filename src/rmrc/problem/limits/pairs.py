@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from rmrc.config.limits import CollisionLimit
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.frames import OBJECTS, names
-from rmrc.problem.limits.always_near import always_near
+from rmrc.problem.limits.always_near import Whereabouts, always_near, anywhere
 from rmrc.problem.limits.extents import dofs_of_bodies
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import FieldError
 
 Mask = NDArray[np.bool_]
@@ -27,7 +28,10 @@ SHOWN = 4
 
 
 def resolve_pairs(
-    model: mujoco.MjModel, limit: CollisionLimit
+    model: mujoco.MjModel,
+    limit: CollisionLimit,
+    where: Whereabouts | None = None,
+    objects: Objects | None = None,
 ) -> tuple[NDArray[np.intp], list[str]]:
     """Return the pairs of geoms that a limit keeps apart, and notices on those it leaves out.
 
@@ -35,8 +39,15 @@ def resolve_pairs(
     scene excludes or `contype` and `conaffinity` filter out, but its `<pair>`s in any case. Of the
     pairs that are named, those of `groups` are filtered by parent and exclusion too; those of
     geoms and bodies are all meant. The geoms of a body are those that collide with anything, where
-    there are any. What no joint moves relative to each other is never a pair, nor is what is nearer
-    than `d_min` wherever the joints are: it could only hold the robot back.
+    there are any. What no joint of the robot moves relative to each other is never a pair, as two
+    objects are not, nor is what is nearer than `d_min` wherever the joints may be, the start
+    included: it could only hold the robot back.
+
+    Args:
+        model: The model.
+        limit: The limit.
+        where: Where the joints may be; by default in the model's ranges.
+        objects: What is not the robot; by default what the model itself says.
 
     Returns:
         Pairs (p, 2), the geom of the lower type first, as MuJoCo orders them; the notices.
@@ -50,7 +61,7 @@ def resolve_pairs(
             "the scene disables nativeccd, without which MuJoCo's distances are wrong by "
             'centimetres: take <flag nativeccd="disable"/> out of it'
         )
-    return _Resolver(model, limit).pairs()
+    return _Resolver(model, limit, where or anywhere(model), objects or Objects(model)).pairs()
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
@@ -76,12 +87,16 @@ class _Meaning:
 class _Resolver:
     """Pairs are symmetric flags (ngeom, ngeom), which one filter after another thins."""
 
-    def __init__(self, model: mujoco.MjModel, limit: CollisionLimit):
-        self._model, self._limit = model, limit
+    def __init__(
+        self, model: mujoco.MjModel, limit: CollisionLimit, where: Whereabouts, objects: Objects
+    ):
+        self._model, self._limit, self._where = model, limit, where
         self._notices: list[str] = []
         self._silent: set[int] = set()
         body = model.geom_bodyid
-        self._moved = _moved(model)[np.ix_(body, body)]
+        moves = dofs_of_bodies(model)
+        self._moved = _moved(moves[:, ~objects.dofs])[np.ix_(body, body)]
+        self._pushed = _moved(moves)[np.ix_(body, body)] & ~self._moved
         self._measured = _measured(model)
         self._collides = (model.geom_contype | model.geom_conaffinity) != 0
 
@@ -121,10 +136,12 @@ class _Resolver:
 
     def _separable(self, pairs: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the pairs that can keep their distance."""
-        near = always_near(self._model, pairs, self._limit.d_min)
+        near = always_near(self._model, pairs, self._limit.d_min, self._where)
         if near.any():
             shown = [pair_name(self._model, a, b) for a, b in pairs[near].tolist()]
-            self._leave_out("pairs that are nearer than d_min wherever the joints are", shown)
+            # What the user has named is named in full.
+            most = SHOWN if self._limit.pairs == "all" else len(shown)
+            self._leave_out("pairs that are nearer than d_min wherever the joints are", shown, most)
         return pairs[~near]
 
     def _reasons(self) -> str:
@@ -154,11 +171,14 @@ class _Resolver:
             first, second = (self._meaning("pairs", name) for name in entry)
             pairs = _product(first.geoms, second.geoms)
             between = f"'{entry[0]}' and '{entry[1]}'"
-            if not (pairs & self._moved).any():
+            moved = self._without("that the robot does not move", pairs, self._pushed) & self._moved
+            if not moved.any():
+                if (pairs & self._pushed).any():
+                    continue
                 raise FieldError("pairs", f"no joint moves {between} relative to each other")
-            if not (pairs & self._moved & self._measured).any():
+            if not (moved & self._measured).any():
                 raise FieldError("pairs", f"MuJoCo cannot measure the distance of {between}")
-            wanted |= pairs & self._moved
+            wanted |= moved
             if not (first.group or second.group):
                 meant |= pairs
         return wanted, meant
@@ -212,9 +232,9 @@ class _Resolver:
             self._leave_out(f"pairs {reason}", shown)
         return wanted & ~mask
 
-    def _leave_out(self, what: str, shown: list[str]) -> None:
-        more = ", …" if len(shown) > SHOWN else ""
-        listed = ", ".join(shown[:SHOWN]) + more
+    def _leave_out(self, what: str, shown: list[str], most: int = SHOWN) -> None:
+        more = ", …" if len(shown) > most else ""
+        listed = ", ".join(shown[:most]) + more
         self._notices.append(f"collision leaves out {what} ({len(shown)}): {listed}")
 
 
@@ -224,9 +244,8 @@ def _product(first: Mask, second: Mask) -> Mask:
     return pairs | pairs.T
 
 
-def _moved(model: mujoco.MjModel) -> Mask:
-    """Return which bodies the joints move relative to each other (nbody, nbody)."""
-    moves = dofs_of_bodies(model)
+def _moved(moves: Mask) -> Mask:
+    """Return which bodies are moved relative to each other by what moves each (nbody, dofs)."""
     return (moves[:, None, :] != moves[None, :, :]).any(axis=2)
 
 

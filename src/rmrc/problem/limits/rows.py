@@ -3,30 +3,34 @@
 import math
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.config.limits import LimitsModel
 from rmrc.config.mistakes import Mistake
 from rmrc.errors import ModelError, unknown_name
+from rmrc.problem.limits.always_near import Whereabouts
 from rmrc.problem.limits.ball import compile_balls
 from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.collision import collision_pairs
+from rmrc.problem.limits.joints import held_ranges
 from rmrc.problem.limits.speed import FrameSpeed
 from rmrc.problem.limits.workspace import compile_workspace
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import FieldError, Term
 from rmrc.problem.tasks.frame import FrameTerm
 
 
 def compile_barriers(
-    model: mujoco.MjModel,
+    objects: Objects,
     limits: LimitsModel,
+    start: NDArray[np.float64],
     dofs: NDArray[np.intp],
     mistakes: list[Mistake],
     notices: list[str],
 ) -> tuple[BarrierLimit, ...]:
     """Return the limits on distances; what is wrong goes to `mistakes`, the rest to `notices`."""
+    model = objects.model
     found: list[BarrierLimit] = [
         *compile_balls(model, limits, dofs),
         *compile_workspace(model, limits.workspace, dofs, mistakes),
@@ -34,7 +38,8 @@ def compile_barriers(
     if limits.collision != "off":
         where = ("limits", "collision")
         try:
-            pairs, left_out = collision_pairs(model, limits.collision)
+            where_joints = Whereabouts(start, held_ranges(model, limits), dofs)
+            pairs, left_out = collision_pairs(model, limits.collision, where_joints, objects)
         except FieldError as mistake:
             mistakes.append(Mistake((*where, mistake.key), str(mistake)))
         except ModelError as mistake:

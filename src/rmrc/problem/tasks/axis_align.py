@@ -1,5 +1,6 @@
 """The `axis_align` task: an axis of a frame points along a direction of the world."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -59,3 +60,10 @@ class AxisAlignTerm(PointingTerm):
         """Return Rᵀ (ω × t) for the direction's angular velocity ω, the twist's second half."""
         pose = configuration.get_transform_frame_to_world(self.frame.id, self.frame.kind)
         return pose.rotation().as_matrix().T @ np.cross(twist[3:], target)
+
+    def carry(
+        self, configuration: mink.Configuration, target: Array, twists: Sequence[Array]
+    ) -> Array:
+        """Return Rᵀt × ω for the frame's own angular velocity ω."""
+        pose = configuration.get_transform_frame_to_world(self.frame.id, self.frame.kind)
+        return np.cross(pose.rotation().as_matrix().T @ target, twists[0][3:])

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from rmrc.config.base import Model, Name, Positive, Weight
+from rmrc.problem.objects import Objects
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
@@ -51,6 +52,15 @@ class TaskModel(Model):
         Raises:
             FieldError: If a value does not fit the model.
         """
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the bodies with the task's own frame or a joint that it names: robots' bodies.
+
+        Raises:
+            ModelError: If the model has no such name.
+            FieldError: If a value does not fit the model.
+        """
+        return []
 
     def common(self) -> dict[str, Any]:
         """Return what the task's term takes over: name, type, level, gain, and whether it is hard.
@@ -153,6 +163,12 @@ class Term(ABC):
         """Units of the true errors that `measure` returns; empty where there is none."""
         return ()
 
+    @property
+    def unit_rows(self) -> tuple[NDArray[np.intp], ...]:
+        """The rows of the error that each of `units` is of; of a joint term those with a weight."""
+        rows = np.flatnonzero(self.diagonal) if self.joint else np.arange(self.rows)
+        return (rows,) * len(self.units)
+
     def measure(self, error: Array) -> Array:
         """Return the true errors, in `units`, that the error vector e (rows,) stands for."""
         return np.array([np.sqrt(error @ error)])[: len(self.units)]
@@ -171,6 +187,20 @@ class Term(ABC):
     def pull(self, evaluation: "Evaluation", pulled: Array) -> "Pull":
         """Return what the task does to its frame at B ẋ (rows,), at the present evaluation."""
         raise NotImplementedError
+
+    def without(self, objects: Objects, start: Array) -> "Term":
+        """Return the term of the robot alone, at the start configuration (nq,).
+
+        Raises:
+            FieldError: If nothing is left of it.
+        """
+        if not (self.joint and objects.roots):
+            return self
+        weight = self.weight.copy()
+        weight[objects.dofs] = 0.0
+        if weight.ndim == 2:
+            weight[:, objects.dofs] = 0.0
+        return replace(self, weight=weight)
 
     @classmethod
     @abstractmethod

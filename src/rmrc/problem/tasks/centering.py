@@ -10,6 +10,7 @@ from pydantic import Field
 from rmrc.config.base import JointName, NonNegative
 from rmrc.problem.configuration import QPOS_WIDTH, joint_type
 from rmrc.problem.frames import find
+from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import Array, FieldError, GainedTask, TargetKind
 from rmrc.problem.tasks.posture import PostureTerm
 
@@ -31,6 +32,10 @@ class CenteringTask(GainedTask):
     """Weight of the squared shares of the half ranges, a number."""
     joints: Annotated[tuple[JointName, ...], Field(min_length=1)] | None = None
     """The joints that are meant; by default all hinges and slides that have a range."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the bodies of the joints that are named."""
+        return bodies_of_joints(model, self.joints or ())
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "CenteringTerm":
         """Find the middles of the ranges.

@@ -1,7 +1,7 @@
 """The `clearance` task: the joints keep geoms away from one another, such as obstacles."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +15,7 @@ from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.configuration import free_dofs
 from rmrc.problem.frames import OBJECTS, names
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import Array, FieldError, GainedTask, Term
 from rmrc.problem.tasks.manipulability import joint_dofs_above
 
@@ -94,12 +95,31 @@ def _geoms(model: mujoco.MjModel, name: str) -> tuple[int, list[int]]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ClearanceTerm(Term):
-    """Rows of a `clearance` task: e = (D − d)²/2D, J = (1 − d/D) ∂d/∂q of each pair inside D."""
+    """Rows of a `clearance` task: e = (D − d)²/2D, J = (1 − d/D) ∂d/∂q of each pair inside D.
+
+    ẋ_ff = −(1 − d/D) ∂d/∂t of the mocap bodies.
+    """
 
     geoms: NDArray[np.intp]
     """The pairs of geoms (p, 2), each in the order of their types."""
     distance: float
     """D, m."""
+
+    def without(self, objects: Objects, start: Array) -> "ClearanceTerm":
+        """Return the term with the pairs that the robot moves relative to each other.
+
+        Raises:
+            FieldError: If there is none.
+        """
+        model, moved = objects.model, []
+        for one, other in model.geom_bodyid[self.geoms].tolist():
+            dofs = np.setxor1d(joint_dofs_above(model, one), joint_dofs_above(model, other))
+            moved.append(bool((~objects.dofs[dofs]).any()))
+        if all(moved):
+            return self
+        if not any(moved):
+            raise FieldError("pairs", "the robot moves none of them: they are objects or fixed")
+        return replace(self, geoms=self.geoms[moved], weight=self.weight[moved])
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
@@ -125,8 +145,10 @@ class _Field:
         self._data, self._term = evaluation.data, term
         rows = evaluation.rows_of([term])
         self._error, self._jacobian = evaluation.error[rows], evaluation.jacobian[rows]
+        self._feedforward = evaluation.feedforward[rows]
         self._pairs = [(a, b, is_capsule_and_box(model, a, b)) for a, b in term.geoms.tolist()]
         self._bodies = model.geom_bodyid[term.geoms].tolist()
+        self._carriers = [[evaluation.carrier(body) for body in pair] for pair in self._bodies]
         self._base = free_dofs(model)
         radii = model.geom_rbound[term.geoms]
         near = radii.sum(axis=1) + term.distance
@@ -135,7 +157,7 @@ class _Field:
         self._first, self._second = np.zeros((2, 3, model.nv))
 
     def __call__(self) -> None:
-        self._error[:], self._jacobian[:] = 0.0, 0.0
+        self._error[:], self._jacobian[:], self._feedforward[:] = 0.0, 0.0, 0.0
         centres = self._data.geom_xpos[self._term.geoms]
         apart = centres[:, 1] - centres[:, 0]
         for k in np.flatnonzero(np.einsum("ki,ki->k", apart, apart) < self._near_square).tolist():
@@ -152,5 +174,9 @@ class _Field:
         mujoco.mj_jac(model, data, self._second, None, b, self._bodies[k][1])
         share = 1.0 - d / self._term.distance
         self._error[k] = 0.5 * share * (self._term.distance - d)
-        self._jacobian[k] = (share / d) * ((b - a) @ (self._second - self._first))
+        outward = (share / d) * (b - a)
+        self._jacobian[k] = outward @ (self._second - self._first)
         self._jacobian[k, self._base] = 0.0
+        for sign, point, carrier in zip((1.0, -1.0), (a, b), self._carriers[k], strict=True):
+            if carrier is not None:
+                self._feedforward[k] += sign * (outward @ carrier.velocity(point)[:3])

@@ -1,7 +1,7 @@
 """The `com` task: the centre of mass follows a target point."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import mujoco
@@ -10,6 +10,7 @@ import numpy as np
 from rmrc.config.base import NameOf, Positive
 from rmrc.problem.frames import find
 from rmrc.problem.limits.extents import dofs_of_bodies
+from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import (
     Array,
     FieldError,
@@ -34,27 +35,26 @@ class ComTask(HardTask, GainedTask, WeightedTask):
 
     type: Literal["com"] = "com"
     body: Annotated[str, NameOf("body")] | None = None
-    """Body whose subtree is meant; by default the whole robot."""
+    """Body whose subtree is meant; by default the whole robot. Objects are never a part of it."""
     clamp: Positive | None = None
     """Largest error in m that the task acts on."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the body whose subtree is meant."""
+        return [] if self.body is None else [find(model, "body", self.body)]
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "ComTerm":
         """Find the subtree; the target is its centre of mass at the start."""
         weight = weight_array(self.B, 3)
         roots = robot_roots(model) if self.body is None else (find(model, "body", self.body),)
-        mass = model.body_subtreemass[list(roots)]
-        if not mass.sum() > 0.0:
-            raise FieldError("body", "what is meant has no mass")
-        data = mujoco.MjData(model)
-        data.qpos = start
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        share = mass / mass.sum()
+        if roots == (0,):
+            roots = tuple(np.flatnonzero(model.body_parentid == 0)[1:].tolist())
+        shares, target = _mass_shares(model, start, roots)
         return ComTerm(
             **self.common(),
             weight=weight,
-            target=share @ data.subtree_com[list(roots)],
-            shares=tuple(zip(roots, share.tolist(), strict=True)),
+            target=target,
+            shares=shares,
             clamp=self.clamp or np.inf,
         )
 
@@ -64,6 +64,25 @@ def body_is_in(model: mujoco.MjModel, body: int, root: int) -> bool:
     while body > root:
         body = int(model.body_parentid[body])
     return body == root
+
+
+def _mass_shares(
+    model: mujoco.MjModel, start: Array, roots: Sequence[int]
+) -> tuple[tuple[tuple[int, float], ...], Array]:
+    """Return subtrees with their shares of the mass, and their centre of mass at the start (3,).
+
+    Raises:
+        FieldError: If they have no mass.
+    """
+    mass = model.body_subtreemass[list(roots)]
+    if not mass.sum() > 0.0:
+        raise FieldError("body", "what is meant has no mass")
+    data = mujoco.MjData(model)
+    data.qpos = start
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    share = mass / mass.sum()
+    return tuple(zip(roots, share.tolist(), strict=True)), share @ data.subtree_com[list(roots)]
 
 
 def robot_roots(model: mujoco.MjModel) -> tuple[int, ...]:
@@ -115,6 +134,14 @@ class ComTerm(Term):
         """The distance."""
         return ("m",)
 
+    def without(self, objects: Objects, start: Array) -> "ComTerm":
+        """Return the term with the mass of the robot alone."""
+        roots = [root for root, _ in self.shares if not objects.bodies[root]]
+        if len(roots) == len(self.shares):
+            return self
+        shares, target = _mass_shares(objects.model, start, roots)
+        return replace(self, shares=shares, target=target)
+
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:
         """Evaluate the terms one by one."""
@@ -140,12 +167,17 @@ class _ComEvaluator:
                     evaluation.error[rows],
                     evaluation.feedforward[rows],
                     evaluation.twist[term.name],
+                    [
+                        (body, share, carrier)
+                        for body, share in term.shares
+                        if (carrier := evaluation.carrier(body)) is not None
+                    ],
                 )
             )
 
     def __call__(self) -> None:
         com = self._data.subtree_com
-        for term, index, target, jacobian, error, feedforward, twist in self._entries:
+        for term, index, target, jacobian, error, feed, twist, carried in self._entries:
             if len(term.shares) == 1:
                 body = term.shares[0][0]
                 mujoco.mj_jacSubtreeCom(self._model, self._data, jacobian, body)
@@ -157,4 +189,8 @@ class _ComEvaluator:
                     jacobian += share * self._part
                     error -= share * com[body]
             if self._moving[index]:
-                feedforward[:] = twist[:3]
+                feed[:] = twist[:3]
+            elif carried:
+                feed[:] = 0.0
+            for body, share, carrier in carried:
+                feed -= share * carrier.velocity(com[body])[:3]

@@ -10,6 +10,7 @@ import numpy as np
 from rmrc.config.base import JointName, NonNegative, Number
 from rmrc.problem.configuration import QPOS_WIDTH, joint_type
 from rmrc.problem.frames import find
+from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import (
     Array,
     ConstraintTask,
@@ -32,6 +33,10 @@ class CouplingTask(ConstraintTask):
     """c by joint, for q in rad or m."""
     offset: Number = 0.0
     """What the sum is held at, in the unit of its terms."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the bodies of the joints."""
+        return bodies_of_joints(model, self.coefficients)
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "CouplingTerm":
         """Resolve the joints.

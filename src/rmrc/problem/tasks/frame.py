@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, ValidationInfo, field_validator
 
 from rmrc.config.base import Frame, Model, Positive, Weight
@@ -97,6 +98,10 @@ class FrameTask(PoseTask):
     axes: Literal["body", "world"] = "body"
     """The axes of the error and of B: the frame's own, or the world's."""
 
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the frame's body."""
+        return [resolve(model, self.frame).body(model)]
+
     def compile(self, model: mujoco.MjModel, start: Array) -> "FrameTerm":
         """Resolve the frame; the target is its pose at the start."""
         weight = self.pose_weight()
@@ -137,6 +142,11 @@ class PoseTerm(Term):
     def units(self) -> tuple[str, ...]:
         """The distance and the angle, each where it has a weight."""
         return tuple(compress(("m", "rad"), self.weighed))
+
+    @property
+    def unit_rows(self) -> tuple[NDArray[np.intp], ...]:
+        """Those of the position and those of the orientation."""
+        return tuple(compress(np.arange(6).reshape(2, 3), self.weighed))
 
     def measure(self, error: Array) -> Array:
         """Return the distance in m and the angle in rad, each where it has a weight."""
@@ -241,9 +251,11 @@ class _FrameEvaluator:
                 evaluation.target[t.name],
                 evaluation.twist[t.name],
                 t.frame.views(self._data)[0],
+                evaluation.carrier(t.frame.body(self._model)),
             )
             for k, t in enumerate(terms)
         ]
+        self._carried = any(carrier is not None for *_, carrier in self._feeds)
 
     def __call__(self) -> None:
         model, data = self._model, self._data
@@ -260,25 +272,27 @@ class _FrameEvaluator:
             self._transform[0].dot(self._world[0], self._jacobian[0])
         else:
             np.matmul(self._transform, self._world, out=self._jacobian)
-        if 1 in self._moving:
+        if self._carried or 1 in self._moving:
             self._feed_forward()
 
     def _feed_forward(self) -> None:
-        """Write what the target's own velocity (v_t, ω_t) adds.
+        """Write what the target's own velocity (v_t, ω_t) adds, less what a mocap body does.
 
         Along the body's axes it is what the frame would have to do to move with the target as one
         rigid body, (v_t + ω_t × (p_b − p_t), ω_t). Along the world's it is [v_t; Jl⁻¹(φ) ω_t],
-        where Jl⁻¹(φ) is the transpose of Jr⁻¹(φ).
+        where Jl⁻¹(φ) is the transpose of Jr⁻¹(φ). A mocap body moves the frame as joints would.
         """
-        for k, index, term, target, twist, position in self._feeds:
+        for k, index, term, target, twist, position, carrier in self._feeds:
             if not self._moving[index]:
-                continue
-            if term.axes == "world":
+                self._feedforward[k] = 0.0
+            elif term.axes == "world":
                 self._feedforward[k] = self._transform[k].T @ twist
             else:
                 rigid = twist.copy()
                 rigid[:3] += np.cross(twist[3:], position - target[4:])
                 self._feedforward[k] = self._transform[k] @ rigid
+            if carrier is not None:
+                self._feedforward[k] -= self._transform[k] @ carrier.velocity(position)
 
 
 def _world_error(target: Array, pose: Array, error: Array, angular: Array) -> None:

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from rmrc.config.base import JointName
 from rmrc.problem.configuration import dof_of_joint
+from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import Array, RowlessTerm, TaskModel
 
 
@@ -19,6 +20,10 @@ class FreezeTask(TaskModel):
     type: Literal["freeze"] = "freeze"
     joints: Annotated[tuple[JointName, ...], Field(min_length=1)]
     """The joints that are held."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the bodies of the joints."""
+        return bodies_of_joints(model, self.joints)
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "FreezeTerm":
         """Resolve the joints."""

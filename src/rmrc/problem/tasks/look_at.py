@@ -1,5 +1,6 @@
 """The `look_at` task: an axis of a frame points at a target point."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -71,3 +72,14 @@ class LookAtTerm(PointingTerm):
         direction = toward / distance
         velocity = rotation.T @ twist[:3]
         return (velocity - direction * (direction @ velocity)) / distance
+
+    def carry(
+        self, configuration: mink.Configuration, target: Array, twists: Sequence[Array]
+    ) -> Array:
+        """Return d̂ × ω − (I − d̂ d̂ᵀ) v / n for the frame's own velocity v and ω."""
+        pose = configuration.get_transform_frame_to_world(self.frame.id, self.frame.kind)
+        toward = pose.inverse().apply(target)
+        distance = max(float(np.linalg.norm(toward)), 1e-9)
+        direction, velocity = toward / distance, twists[0][:3]
+        across = velocity - direction * (direction @ velocity)
+        return np.cross(direction, twists[0][3:]) - across / distance

@@ -1,9 +1,9 @@
 """The `loop` task: the equality constraints of the model itself, such as closed chains."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rmrc.config.base import NameOf
+from rmrc.problem.carrier import Carrier
 from rmrc.problem.configuration import joint_type
 from rmrc.problem.frames import find
+from rmrc.problem.objects import bodies_of_equality
 from rmrc.problem.tasks.base import (
     Array,
     ConstraintTask,
@@ -41,6 +43,10 @@ class LoopTask(ConstraintTask, WeightedTask):
         Annotated[tuple[Annotated[str, NameOf("equality")], ...], Field(min_length=1)] | None
     ) = None
     """The constraints that are meant; by default all that the model has active."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the bodies that the constraints hold together, and of their joints and tendons."""
+        return [body for i in self._found(model) for body in bodies_of_equality(model, i)]
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "LoopTerm":
         """Find the constraints.
@@ -87,6 +93,32 @@ def equality_name(model: mujoco.MjModel, equality: int) -> str:
     return model.equality(equality).name or f"equality {equality}"
 
 
+class End(NamedTuple):
+    """An end of a connect or a weld: a point and a rotation that a body carries."""
+
+    body: int
+    point: Array
+    """In the body's coordinates (3,)."""
+    turn: Array
+    """wxyz, in the body's coordinates (4,)."""
+
+
+def ends_of_equality(model: mujoco.MjModel, equality: int) -> tuple[End, End]:
+    """Return the ends of a connect or a weld."""
+    numbers, unturned = model.eq_data[equality], np.array([1.0, 0.0, 0.0, 0.0])
+    one, other = bodies_of_equality(model, equality)
+    if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        first, second = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+        return (
+            End(one, model.site_pos[first], model.site_quat[first]),
+            End(other, model.site_pos[second], model.site_quat[second]),
+        )
+    if int(model.eq_type[equality]) == int(_WELD):
+        # Its anchor is the second body's, and the pose of that one in the first's.
+        return End(one, numbers[3:6], numbers[6:10]), End(other, numbers[:3], unturned)
+    return End(one, numbers[:3], unturned), End(other, numbers[3:6], unturned)
+
+
 def _true_units(model: mujoco.MjModel, i: int) -> tuple[Array, NDArray[np.bool_]]:
     """Return what turns each residual of a constraint into m or rad, and which are angles."""
     kind = mujoco.mjtEq(int(model.eq_type[i]))
@@ -119,6 +151,7 @@ class LoopTerm(Term):
 
     A connect has 3 rows in m; a weld these and the vector part of its quaternion's error times
     `torquescale`; a joint and a tendon one each, y − y₀ − p(x − x₀) for the polynomial p.
+    ẋ_ff = −∂r/∂t of the mocap bodies.
     """
 
     decisive: ClassVar[bool] = True
@@ -134,6 +167,12 @@ class LoopTerm(Term):
     def units(self) -> tuple[str, ...]:
         """The norm of the gaps and that of the angles, each where there are any."""
         return tuple(compress(("m", "rad"), self._kinds))
+
+    @property
+    def unit_rows(self) -> tuple[NDArray[np.intp], ...]:
+        """Those of the gaps and those of the angles."""
+        rows = np.flatnonzero(~self.angular), np.flatnonzero(self.angular)
+        return tuple(compress(rows, self._kinds))
 
     @property
     def _kinds(self) -> tuple[bool, bool]:
@@ -166,8 +205,23 @@ class _LoopEvaluator:
         self._equalities = [i for term in terms for i in term.equalities]
         self._tendons = bool((model.eq_type[self._equalities] == _TENDON).any())
         self._sparse = bool(mujoco.mj_isSparse(model))
+        self._feedforward = evaluation.feedforward[rows]
+        self._carried = list(self._carried_pairs(evaluation))
         self._known = np.zeros(0, dtype=np.int32)
         self._locate(self._known)
+
+    def _carried_pairs(self, evaluation: "Evaluation") -> Iterator["_CarriedPair"]:
+        """Yield the connects and welds with an end that a mocap body carries."""
+        first = 0
+        for i in self._equalities:
+            kind = mujoco.mjtEq(int(self._model.eq_type[i]))
+            if kind in (_CONNECT, _WELD):
+                ends = ends_of_equality(self._model, i)
+                carriers = [evaluation.carrier(end.body) for end in ends]
+                if any(carriers):
+                    scale = float(self._model.eq_data[i, TORQUE_SCALE]) if kind == _WELD else None
+                    yield _CarriedPair(first, ends, carriers, scale)
+            first += ROWS[kind]
 
     def _locate(self, known: NDArray[np.int32]) -> None:
         """Find each row among MuJoCo's, for the ids that those have."""
@@ -190,7 +244,11 @@ class _LoopEvaluator:
         if known.size:
             np.take(self._rows(known.size), self._source, axis=0, out=self._jacobian)
             np.negative(data.efc_pos[self._source], out=self._error)
+        for pair in self._carried:
+            rate = pair.rate(data)
+            self._feedforward[pair.first : pair.first + rate.size] = -rate
         self._jacobian[self._absent] = self._error[self._absent] = 0.0
+        self._feedforward[self._absent] = 0.0
 
     def _rows(self, count: int) -> Array:
         """Return the Jacobian (count, nv) of the equalities."""
@@ -201,3 +259,35 @@ class _LoopEvaluator:
         layout = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
         mujoco.mju_sparse2dense(dense, data.efc_J, layout[0][:count], layout[1][:count], layout[2])
         return dense
+
+
+class _CarriedPair(NamedTuple):
+    """A connect or a weld, of which mocap bodies carry an end."""
+
+    first: int
+    """The first of its rows."""
+    ends: tuple[End, End]
+    carriers: Sequence[Carrier | None]
+    torque_scale: float | None
+    """None of a connect."""
+
+    def rate(self, data: mujoco.MjData) -> Array:
+        """Return ∂r/∂t (3,) or (6,), of r = [p₁ − p₂; s q₂* q₁] with s the torque scale.
+
+        The rate of q₂* q₁ is ½ q₂* (ω₁ − ω₂) q₁.
+        """
+        twist, turned = np.zeros(6), np.zeros((2, 4))
+        for k, (end, carrier) in enumerate(zip(self.ends, self.carriers, strict=True)):
+            mujoco.mju_mulQuat(turned[k], data.xquat[end.body], end.turn)
+            if carrier is not None:
+                place = np.zeros(3)
+                mujoco.mju_rotVecQuat(place, end.point, data.xquat[end.body])
+                place += data.xpos[end.body]
+                twist += (1.0, -1.0)[k] * carrier.velocity(place)
+        if self.torque_scale is None:
+            return twist[:3]
+        back, half, rate = np.zeros((3, 4))
+        mujoco.mju_negQuat(back, turned[1])
+        mujoco.mju_mulQuat(half, back, np.array([0.0, *twist[3:]]))
+        mujoco.mju_mulQuat(rate, half, turned[0])
+        return np.concatenate([twist[:3], 0.5 * self.torque_scale * rate[1:]])

@@ -53,6 +53,10 @@ class ManipulabilityTask(GainedTask):
     part: Part = "position"
     """The rows of J: how the joints move the frame's origin, how they turn it, or both."""
 
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the frame's body."""
+        return [resolve(model, self.frame).body(model)]
+
     def compile(self, model: mujoco.MjModel, start: Array) -> "ManipulabilityTerm":
         """Resolve the frame and the joints that move it.
 

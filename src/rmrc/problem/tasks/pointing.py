@@ -23,6 +23,10 @@ class PointingTask(HardTask, GainedTask):
     axis: Direction = (0.0, 0.0, 1.0)
     """The axis that points, in the frame's own coordinates."""
 
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the frame's body."""
+        return [resolve(model, self.frame).body(model)]
+
     def pointing(self, model: mujoco.MjModel, start: Array) -> tuple[dict[str, Any], mink.SE3]:
         """Return what the term takes over but for its target, and the frame's pose at the start."""
         handle = resolve(model, self.frame)
@@ -47,6 +51,11 @@ class PointingTerm(MinkTerm):
     def way(self, model: mujoco.MjModel) -> Way:
         """Return the dofs on the way to the frame."""
         return Way.chain(self.frame.dofs(model))
+
+    @property
+    def frames(self) -> tuple[FrameHandle, ...]:
+        """The frame."""
+        return (self.frame,)
 
     @property
     def units(self) -> tuple[str, ...]:

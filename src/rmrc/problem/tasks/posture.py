@@ -9,6 +9,7 @@ import numpy as np
 
 from rmrc.config.base import JointName, KeyframeName, Number, Vector
 from rmrc.problem.configuration import free_dofs, resolve_configuration
+from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import (
     Array,
     FieldError,
@@ -32,6 +33,10 @@ class PostureTask(HardTask, GainedTask, WeightedTask):
     type: Literal["posture"] = "posture"
     target: KeyframeName | Vector | dict[JointName, Number] | None = None
     """A keyframe, all of qpos, or {joint: value} on the start; by default the start itself."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the bodies of the joints that the target names."""
+        return bodies_of_joints(model, self.target if isinstance(self.target, dict) else ())
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "PostureTerm":
         """Resolve the target configuration and take the floating base out of the weight."""

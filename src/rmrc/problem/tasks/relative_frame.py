@@ -1,5 +1,6 @@
 """The `relative_frame` task: one frame keeps a pose relative to another that may move too."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -14,7 +15,7 @@ from rmrc.problem.lie import (
     inverse,
     inverse_left_jacobian,
     inverse_multiply,
-    jlog,
+    log_motion,
     turn_back,
 )
 from rmrc.problem.tasks.base import Array, Pull, Way
@@ -33,6 +34,10 @@ class RelativeFrameTask(PoseTask):
     """The frame that moves."""
     root: Frame
     """The frame in whose coordinates the target is given."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the body of the frame that moves."""
+        return [resolve(model, self.frame).body(model)]
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "RelativeFrameTerm":
         """Resolve both frames; the target is their relative pose at the start."""
@@ -53,7 +58,7 @@ class RelativeFrameTask(PoseTask):
 class RelativeFrameTerm(MinkTerm, PoseTerm):
     """Rows of a `relative_frame` task, by mink's RelativeFrameTask.
 
-    e = −log(T_tf) and J = Jlog(T_tf) (J_f − Ad(T_fr) J_r), for the frame f, the root r and the
+    e = −log(T_tf) and J = Jl⁻¹(e) (J_f − Ad(T_fr) J_r), for the frame f, the root r and the
     target t in the root's coordinates.
     """
 
@@ -71,14 +76,10 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
     def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
         """Return the force and the torque at the frame's origin, against the root."""
         model, data = evaluation.model, evaluation.data
-        position, matrix = self.frame.views(data)
-        linear, angular = self.frame.velocities(model, data)
-        origin, turning = self.root.velocities(model, data)
-        lever = position - self.root.views(data)[0]
-        linear = linear - origin - np.cross(turning.T, lever).T
-        rotation = matrix.reshape(3, 3)
+        rotation = self.frame.views(data)[1].reshape(3, 3)
         wrench = inverse_left_jacobian(evaluation.error_of(evaluation.error, self)).T @ pulled
-        return Pull(linear, angular - turning, rotation @ wrench[:3], rotation @ wrench[3:])
+        velocities = self._velocities(model, data)
+        return Pull(*velocities, rotation @ wrench[:3], rotation @ wrench[3:])
 
     def task(self) -> mink.RelativeFrameTask:
         """Return mink's task with unit cost and gain."""
@@ -91,12 +92,49 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
         assert isinstance(task, mink.RelativeFrameTask)
         task.set_target(mink.SE3(target))
 
+    def linearize(
+        self, task: mink.Task, configuration: mink.Configuration, target: Array
+    ) -> tuple[Array, Array]:
+        """Return mink's J and e with a logarithm and a Jl⁻¹ that are exact near θ = 0, too."""
+        model, data = configuration.model, configuration.data
+        pose = self._pose(configuration)
+        error = log_motion(inverse_multiply(pose, target))
+        linear, angular = self._velocities(model, data)
+        rotation = self.frame.views(data)[1].reshape(3, 3)
+        along = np.vstack([rotation.T @ linear, rotation.T @ angular])
+        return inverse_left_jacobian(error) @ along, error
+
     def feed_forward(
         self, configuration: mink.Configuration, error: Array, target: Array, twist: Array
     ) -> Array:
-        """Return Jlog(T_tf) Ad(T_ft) V_t for the target's twist, turned into its own axes."""
-        pose = configuration.get_transform(
+        """Return Jl⁻¹(e) Ad(T_ft) V_t for the target's twist, turned into its own axes."""
+        relative = inverse_multiply(target, self._pose(configuration))
+        own = adjoint(inverse(relative)) @ turn_back(target, twist)
+        return inverse_left_jacobian(error) @ own
+
+    @property
+    def frames(self) -> tuple[FrameHandle, ...]:
+        """The frame and its root."""
+        return self.frame, self.root
+
+    def carry(
+        self, configuration: mink.Configuration, target: Array, twists: Sequence[Array]
+    ) -> Array:
+        """Return −Jl⁻¹(e) (V_f − Ad(T_fr) V_r)."""
+        pose = self._pose(configuration)
+        of_frame, of_root = twists
+        carried = of_frame - adjoint(inverse(pose)) @ of_root
+        return -inverse_left_jacobian(log_motion(inverse_multiply(pose, target))) @ carried
+
+    def _pose(self, configuration: mink.Configuration) -> Array:
+        """Return T_rf (7,), the frame in the coordinates of the root."""
+        return configuration.get_transform(
             self.frame.id, self.frame.kind, self.root.id, self.root.kind
-        )
-        relative = inverse_multiply(target, pose.wxyz_xyz)
-        return jlog(relative) @ (adjoint(inverse(relative)) @ turn_back(target, twist))
+        ).wxyz_xyz
+
+    def _velocities(self, model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+        """Return how the dofs move the frame against the root (3, nv), in the world's axes."""
+        linear, angular = self.frame.velocities(model, data)
+        origin, turning = self.root.velocities(model, data)
+        lever = self.frame.views(data)[0] - self.root.views(data)[0]
+        return linear - origin - np.cross(turning.T, lever).T, angular - turning

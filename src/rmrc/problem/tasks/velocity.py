@@ -9,6 +9,7 @@ import numpy as np
 
 from rmrc.config.base import JointName, Number
 from rmrc.problem.configuration import dof_of_joint
+from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import (
     Array,
     FieldError,
@@ -31,6 +32,10 @@ class VelocityTask(HardTask, WeightedTask):
     type: Literal["velocity"] = "velocity"
     target: dict[JointName, Number]
     """Rates by joint, rad/s or m/s."""
+
+    def claimed(self, model: mujoco.MjModel) -> list[int]:
+        """Return the bodies of the joints."""
+        return bodies_of_joints(model, self.target)
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "VelocityTerm":
         """Resolve the joints; a number B weighs those named, a list or a matrix all dofs."""

@@ -12,7 +12,7 @@ class Native(Backend):
     """`rmrc._native.QPSolver`, which starts from the active set of the last solve.
 
     It ends at the optimum to rounding, and reads the program as it is when it solves. It looks at
-    the clock every 32 changes of the active set.
+    the clock between any two changes of the active set.
     """
 
     screened = False
