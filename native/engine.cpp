@@ -150,6 +150,7 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   const bool warm = warm_ && cascade_ == nullptr;
   Ending ending = best();
   if (!trusted(ending)) ending = descend_ladder(ending, warm);
+  keep_still(dt);
   if (shortening_ != nullptr && limits_->count() > 0) at_distance(dt);
   return ending;
 }
@@ -238,6 +239,7 @@ void Engine::add_curvature() {
   const int n = size();
   std::fill(curvature_.begin(), curvature_.end(), 0.0);
   for (const auto& term : rows_) {
+    if (!term->bends()) continue;
     term->add_curvature(program_.rate, dt_, constants_.least_curvature, curvature_.data());
   }
   for (int i = 0; i < n; ++i) program_.H[i * n + i] += curvature_[i];
@@ -249,16 +251,13 @@ void Engine::brake_in_time() {
   double *driven = braking_.driven(), *way = braking_.way(), gain = 0.0;
   std::fill_n(driven, n, 0.0);
   std::fill_n(way, n, 0.0);
-  bool moving = false;
   for (const auto& term : rows_) {
-    moving |= *term->data().moving != 0;
     if (!term->counts() || term->data().gain == 0.0) continue;
     const double capped = std::min(term->data().gain, 1.0 / dt_);
     term->pull(program_.rate, capped, driven, way);
     gain = std::max(gain, capped);
   }
   for (const JointTerm& term : joints_) {
-    moving |= *term.data.moving != 0;
     if (term.data.gain == 0.0) continue;
     const double capped = std::min(term.data.gain, 1.0 / dt_);
     unfed_.assign(program_.rate + term.data.first, program_.rate + term.data.first + nv);
@@ -285,12 +284,45 @@ void Engine::brake_in_time() {
     for (const JointTerm& term : joints_) {
       if (term.counts() && term.data.gain != 0.0) scale(term.data);
     }
-  } else if (braking_.jerks() && !moving) {
+  } else if (braking_.jerks() && is_still()) {
     const double* w = braking_.followed(share, v_previous_.data(), dt_);
     for (int i = 0; i < n; ++i) program_.g[i] += driven[i] - dot(program_.H + i * n, w, n);
   } else {
     for (int i = 0; i < n; ++i) program_.g[i] += (1.0 - share) * driven[i];
   }
+}
+
+// Whether no target that a task has a gain for moves.
+bool Engine::is_still() const {
+  const auto rests = [&](const TermData& data) {
+    const double* fed = stack_.feedforward + data.first;
+    return data.gain == 0.0 || std::all_of(fed, fed + data.rows, [](double x) { return x == 0.0; });
+  };
+  return std::all_of(rows_.begin(), rows_.end(), [&](const auto& t) { return rests(t->data()); }) &&
+         std::all_of(joints_.begin(), joints_.end(), [&](const auto& t) { return rests(t.data); });
+}
+
+// Scale v where the tasks that no cost draws would pass what they are drawn to: for targets at rest,
+// and where v = 0 is inside the limits.
+void Engine::keep_still(double dt) {
+  const int n = size();
+  const bool any = std::any_of(rows_.begin(), rows_.end(),
+                               [](const auto& term) { return term->looked(); });
+  if (!any || !is_still()) return;
+  for (int i = 0; i < n; ++i) {
+    if (!(program_.lb[i] <= 0.0 && program_.ub[i] >= 0.0)) return;
+  }
+  std::fill(curvature_.begin(), curvature_.end(), 0.0);
+  double drawn = 0.0, curved = 0.0;
+  for (const auto& term : rows_) {
+    if (!term->looked()) continue;
+    drawn += term->drawn(program_.rate, v_.data(), dt, curved);
+    term->add_curvature(program_.rate, dt, 0.0, curvature_.data());
+  }
+  for (int i = 0; i < n; ++i) curved += curvature_[i] * v_[i] * v_[i];
+  if (!(curved > 0.0)) return;
+  const double scale = std::min(1.0, std::max(0.0, drawn) / curved);
+  for (int i = 0; i < n; ++i) v_[i] *= scale;
 }
 
 void Engine::add_joints() {

@@ -171,6 +171,8 @@ class Engine {
   void add_terms();
   void add_curvature();
   void brake_in_time();
+  bool is_still() const;
+  void keep_still(double dt);
   void add_joints();
   void add_inertia();
   Ending attempt();

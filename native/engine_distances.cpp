@@ -36,6 +36,7 @@ void Engine::at_distance(double dt) {
   }
   relaxed_ = relaxed;
   if (trusted(best())) {
+    keep_still(dt);
     keep_distances(dt);
     if (share_ > first.share + gained) return;
   }

@@ -41,6 +41,7 @@ struct RowsArgument {
   Reading target, twist;
   Flags moving;
   std::vector<WayJoint> way;
+  Numbers look;
 };
 
 struct FrameArgument {
@@ -296,7 +297,10 @@ class BoundEngine {
     auto term = std::make_unique<Term>(checked(rows, count, engine_->stack().rows), rows.root,
                                        std::forward<Arguments>(arguments)..., engine_->mujoco(),
                                        engine_->stack());
-    term->bend(rows.way);
+    if (!rows.look.empty() && rows.look.size() != size && rows.look.size() != size * size) {
+      throw std::invalid_argument("what counts of the rows has a wrong size");
+    }
+    term->bend(rows.way, rows.look);
     engine_->add(std::move(term));
   }
 
@@ -349,7 +353,7 @@ class BoundEngine {
 RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading target,
                        Reading twist, Flags moving,
                        const std::vector<std::tuple<int, int, double>>& clamps,
-                       const std::vector<std::tuple<int, int, bool, double>>& way) {
+                       const std::vector<std::tuple<int, int, bool, double>>& way, Numbers look) {
   require(twist, 6, "twist");
   require(moving, 1, "moving");
   RowsArgument rows{{first, count, gain, target.data(), twist.data(), moving.data(), {}},
@@ -357,7 +361,8 @@ RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading 
                     target,
                     twist,
                     moving,
-                    {}};
+                    {},
+                    std::move(look)};
   for (const auto& [dof, before, turns, unit] : way) {
     if (before < -1 || before >= static_cast<int>(rows.way.size()) || !(unit > 0.0)) {
       throw std::invalid_argument("a way has a wrong order or a wrong unit");
@@ -429,7 +434,7 @@ void bind_engine(nb::module_& m) {
       .def(nb::new_(&make_rows), "first"_a, "count"_a, "gain"_a, "root"_a, "target"_a.noconvert(),
            "twist"_a.noconvert(), "moving"_a.noconvert(),
            "clamps"_a = std::vector<std::tuple<int, int, double>>(),
-           "way"_a = std::vector<std::tuple<int, int, bool, double>>());
+           "way"_a = std::vector<std::tuple<int, int, bool, double>>(), "look"_a = Numbers());
   nb::class_<FrameArgument>(m, "Frame", "Where the pose of a frame stands, and what moves it.")
       .def(nb::new_(&make_frame), "position"_a.noconvert(), "rotation"_a.noconvert(),
            "reference"_a.noconvert(), "dofs"_a, "carrier"_a.noconvert().none());

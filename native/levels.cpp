@@ -64,8 +64,14 @@ const std::vector<Level>& Levels::gather(const std::vector<std::unique_ptr<RowTe
   std::fill(curvature_.begin(), curvature_.end(), 0.0);
   for (std::size_t k = 0; k < tasks_.size(); ++k) {
     levels_[k].damping = least;
-    double* curvature = curvature_.data() + k * dofs_.size();
-    levels_[k].curvature = nullptr;
+    // A level bears the curvature of those above it, too: what it moves costs them the second order.
+    const std::size_t n = dofs_.size();
+    double* curvature = curvature_.data() + k * n;
+    levels_[k].curvature = k > 0 ? levels_[k - 1].curvature : nullptr;
+    if (levels_[k].curvature != nullptr) {
+      std::copy_n(levels_[k].curvature, n, curvature);
+      levels_[k].curvature = curvature;
+    }
     for (const LevelTasks::Part& part : tasks_[k].parts) {
       if (!terms[part.term]->bends()) continue;
       terms[part.term]->add_curvature(rate, dt, least_curvature, curvature);

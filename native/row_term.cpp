@@ -211,7 +211,8 @@ void RowTerm::turn(const double* T) {
   }
 }
 
-void RowTerm::bend(const std::vector<WayJoint>& way) {
+void RowTerm::bend(const std::vector<WayJoint>& way, std::vector<double> look) {
+  look_ = std::move(look);
   for (const WayJoint& joint : way) {
     const auto at = std::find(dofs_.begin(), dofs_.begin() + inside_, joint.dof);
     if (at == dofs_.begin() + inside_) throw std::invalid_argument("a way leaves the program");
@@ -223,19 +224,40 @@ void RowTerm::bend(const std::vector<WayJoint>& way) {
   for (int r = 0; r < std::min(data_.rows, 6); ++r) transform_[7 * r] = 1.0;
 }
 
+double RowTerm::drawn(const double* rate, const double* v, double dt, double& curved) {
+  const int rows = data_.rows;
+  const bool full = static_cast<int>(look_.size()) > rows;
+  const double* fed = stack_.feedforward + data_.first;
+  const double gain = std::min(data_.gain, 1.0 / dt);
+  double sum = 0.0;
+  for (int r = 0; r < rows; ++r) wanted_[r] = rate_of(r, v);
+  for (int r = 0; r < rows; ++r) {
+    double asked = 0.0, moved = 0.0;
+    for (int s = full ? 0 : r; s < (full ? rows : r + 1); ++s) {
+      const double weight = look_[full ? r * rows + s : r];
+      asked += weight * (rate[data_.first + s] - fed[s]);
+      moved += weight * wanted_[s];
+    }
+    sum += asked * moved;
+    curved += dt * gain * moved * moved;
+  }
+  return sum;
+}
+
 void RowTerm::add_curvature(const double* rate, double dt, double least, double* X) {
-  if (way_.empty() || !counts_) return;
+  if (way_.empty() || !(counts_ || looked())) return;
+  const std::vector<double>& root = looked() ? look_ : root_;
   const double time = std::max(dt, least * std::max(1.0 / data_.gain, dt));  // ẋ is K e
   const int rows = data_.rows;
-  const bool full = static_cast<int>(root_.size()) > rows;
+  const bool full = static_cast<int>(root.size()) > rows;
   const double* fed = stack_.feedforward + data_.first;
   double wrench[6] = {}, *unfed = wanted_.data();
   for (int r = 0; r < rows; ++r) unfed[r] = time * (rate[data_.first + r] - fed[r]);
   for (int r = 0; r < rows; ++r) {
     // Element r of S x, and what it adds to Tᵀ Sᵀ S x.
-    const double x = weighed(r, unfed);
+    const double x = full ? dot(root.data() + r * rows, unfed, rows) : root[r] * unfed[r];
     for (int s = full ? 0 : r; s < (full ? rows : r + 1); ++s) {
-      const double pulled = root_[full ? r * rows + s : r] * x;
+      const double pulled = root[full ? r * rows + s : r] * x;
       for (int i = 0; i < 6; ++i) wrench[i] += pulled * transform_[6 * s + i];
     }
   }

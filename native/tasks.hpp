@@ -83,8 +83,15 @@ class RowTerm {
   /// Return element r of J v, for v of the program (n,).
   double rate_of(int r, const double* v) const;
 
-  /// Tell which dofs of the program the error bends with, in their order.
-  void bend(const std::vector<WayJoint>& way);
+  /// Tell which dofs of the program the error bends with, in their order; of a term that no cost
+  /// draws, with a root of what of its rows counts.
+  void bend(const std::vector<WayJoint>& way, std::vector<double> look);
+
+  /// Whether no cost draws the term.
+  bool looked() const { return !look_.empty(); }
+
+  /// Return Σ (B x)ᵀ(J v) and add Σ K dt (J v)ᵀB(J v) to `curved`, for v of the program.
+  double drawn(const double* rate, const double* v, double dt, double& curved);
 
   /// X ← X + max(dt K, least) times the row sums of |C| (n,), at ẋ: rmrc.qp.curvature.
   void add_curvature(const double* rate, double dt, double least, double* X);
@@ -99,7 +106,7 @@ class RowTerm {
   bool counts() const { return counts_; }
 
   /// Whether X has a part of the term's.
-  bool bends() const { return !way_.empty() && counts_; }
+  bool bends() const { return !way_.empty() && counts_ && !looked(); }
 
   const TermData& data() const { return data_; }
   const std::vector<double>& root() const { return root_; }
@@ -159,6 +166,7 @@ class RowTerm {
     double after;   // Σ ‖u_j‖ at and after it
   };
   std::vector<WayPoint> way_;
+  std::vector<double> look_;
 };
 
 /// e = log(T_bt) and J = Jl⁻¹(e) J_b: a `frame` task along the body's axes.

@@ -48,6 +48,7 @@ class TermRows:
         moving: NDArray[np.uint8],
         clamps: list[tuple[int, int, float]] = ...,
         way: list[tuple[int, int, bool, float]] = ...,
+        look: list[float] = ...,
     ) -> None: ...
 
 class Frame:

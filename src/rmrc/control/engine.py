@@ -159,11 +159,22 @@ class PythonEngine:
         solution = self._best()
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
+        self._keep_still(solution, dt)
         if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
             self.share = 1.0
         return solution
+
+    def _keep_still(self, solution: Solution, dt: float) -> None:
+        """Scale v where the tasks that no cost draws would pass what they are drawn to.
+
+        It is for targets at rest, and where v = 0 is inside the limits.
+        """
+        assembly, qp = self._assembly, self._assembly.qp
+        at_rest = assembly.still and (qp.lb <= 0.0).all() and (qp.ub >= 0.0).all()
+        if assembly.curvature.looked and at_rest:
+            solution.v = assembly.curvature.scale(solution.v, assembly.unfed, dt) * solution.v
 
     def _held_back(self, dt: float) -> Solution:
         """Return the brake, for a step of which a part cannot be used; it keeps distances."""
@@ -396,6 +407,7 @@ class PythonEngine:
         corrected = self._best()
         if not self._trusted(corrected):
             return solution
+        self._keep_still(corrected, dt)
         share, passed = self.share, self.relaxed
         self.relaxed = relaxed
         self.keep_distances(corrected, dt)

@@ -143,7 +143,11 @@ class NativeEngine(PythonEngine):
         self._cdof = np.zeros((model.nv, 6))
         self._native = self._build()
         curvature = self._assembly.curvature
-        self._ways = {term.name: curvature.joints(way) for term, _, way in curvature.terms}
+        self._ways = {
+            term.name: curvature.joints(way)
+            for term, _, way in (*curvature.terms, *curvature.looked)
+        }
+        self._looks = {term.name: square_root(mask) for term, mask, _ in curvature.looked}
         rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
         watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
         self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
@@ -272,6 +276,7 @@ class NativeEngine(PythonEngine):
                 for first, last, _ in (part.indices(term.rows),)
             ],
             way=self._ways.get(term.name, []),
+            look=self._looks[term.name].ravel().tolist() if term.name in self._looks else [],
         )
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:

@@ -18,6 +18,7 @@ from rmrc.problem.configuration import (
     dof_of_joint,
     normalized,
     resolve_configuration,
+    turning_dofs,
 )
 from rmrc.problem.limits.extents import resolution, size
 from rmrc.problem.limits.joints import compile_box, select

@@ -58,6 +58,10 @@ class Assembly:
         self._capped = self._gain.copy()
         self.rate = np.empty_like(self._gain)
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
+        self.unfed = np.empty_like(self._gain)
+        """K clamp(e) of all terms, ẋ without its feed-forward."""
+        self.still = True
+        """Whether no target that a task has a gain for moves."""
         self._row_rate = self.rate[:rows]
         # What mocap bodies carry may move whenever they do.
         self._fed = bool(problem.model.nmocap) or any(
@@ -195,7 +199,8 @@ class Assembly:
             if length > longest:
                 rate *= longest / length
         self.curvature.update(self.rate, dt)
-        unfed = self.rate.copy()
+        self.unfed[:] = unfed = self.rate.copy()
+        self.still = not evaluation.feedforward[self._gain > 0.0].any()
         if self._fed or 1 in evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
         weighted, unwanted = self._weigh(), self._weigh_rate()
@@ -243,7 +248,7 @@ class Assembly:
                 ]
             )
             self.rate -= soft * unfed
-        elif self.braking.jerks and 1 not in evaluation.moving:
+        elif self.braking.jerks and self.still:
             v_previous = evaluation.v_previous[self._dofs]
             qp.g += pulled[:, 0] - qp.H @ self.braking.followed(share * v, slope, v_previous, dt)
         else:

@@ -1,4 +1,4 @@
-"""The curvature of the tasks, in the program as a diagonal: what lets the robot rest out of reach."""
+"""The curvature of the tasks as a diagonal of the program: with it the robot rests out of reach."""
 
 from collections.abc import Callable
 
@@ -51,6 +51,12 @@ class Curvature:
             if problem.curvature and term.bends and not term.hard and not term.preserve
         ]
         """The terms that X has a part of, their B in the program's unit, and their ways."""
+        self.looked = [
+            (term, _mask(term), term.way(model).within(dofs))
+            for term in evaluation.terms
+            if problem.curvature and term.bends and (term.hard or term.preserve)
+        ]
+        """The terms that no cost draws, what of their rows counts, and their ways."""
         self.least = LEAST if np.isfinite(problem.box.acceleration).any() else 0.0
         """The least dt K in X."""
         self.levels = {term.level: np.zeros(len(dofs)) for term, _, _ in self.terms}
@@ -61,13 +67,35 @@ class Curvature:
         for diagonal in self.levels.values():
             diagonal[:] = 0.0
         for term, weight, way in self.terms:
-            part = self._evaluation.error_of(rate, term) * max(
-                dt, self.least * max(1.0 / term.gain, dt)
-            )
-            pulled = weight * part if weight.ndim == 1 else weight @ part
-            linear, angular, force, torque = term.pull(self._evaluation, pulled)
-            moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
-            self._add_row_sums(np.linalg.norm(moments, axis=1), way, self.levels[term.level])
+            time = max(dt, self.least * max(1.0 / term.gain, dt))
+            pulled = _weighed(weight, self._evaluation.error_of(rate, term))
+            self._add(term, time * pulled, way, self.levels[term.level])
+
+    def scale(self, v: Array, rate: Array, dt: float) -> float:
+        """Return the largest share α of v (n,) at which V does not rise for what no cost draws.
+
+        α = bᵀv / (Σ dt K (J v)ᵀB(J v) + vᵀXv), at most 1, with b = Σ JᵀBKe: where the bound of
+        V(q ⊕ α v dt) is least. v = 0 must be inside the limits.
+        """
+        if not self.looked:
+            return 1.0
+        evaluation, diagonal = self._evaluation, np.zeros(v.size)
+        drawn = curved = 0.0
+        for term, weight, way in self.looked:
+            jacobian = evaluation.jacobian[evaluation.rows_of([term])][:, list(self._column)]
+            pulled = _weighed(weight, evaluation.error_of(rate, term))
+            moved = jacobian @ v
+            drawn += float(pulled @ moved)
+            curved += dt * min(term.gain, 1.0 / dt) * float(moved @ _weighed(weight, moved))
+            self._add(term, dt * pulled, way, diagonal)
+        curved += float(diagonal @ (v * v))
+        return min(1.0, max(0.0, drawn) / curved) if curved > 0.0 else 1.0
+
+    def _add(self, term: Term, pulled: Array, way: Way, diagonal: Array) -> None:
+        """Add the row sums of |C| for B x (rows,) to a diagonal (n,)."""
+        linear, angular, force, torque = term.pull(self._evaluation, pulled)
+        moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
+        self._add_row_sums(np.linalg.norm(moments, axis=1), way, diagonal)
 
     def joints(self, way: Way) -> list[tuple[int, int, bool, float]]:
         """Return each dof on a way, the place before it, whether it turns, and its unit."""
@@ -88,3 +116,13 @@ class Curvature:
                 sums[self._column[dof]] += after[k]
             if before >= 0:
                 after[before] += after[k]
+
+
+def _weighed(weight: Array, x: Array) -> Array:
+    return weight * x if weight.ndim == 1 else weight @ x
+
+
+def _mask(term: Term) -> Array:
+    """Return 1 for the rows that a term without a cost means; a full B as it is."""
+    weight = term.weight
+    return (weight > 0.0).astype(float) if weight.ndim == 1 else weight / np.abs(weight).max()

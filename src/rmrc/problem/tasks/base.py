@@ -178,7 +178,7 @@ class Term(ABC):
         return rate
 
     bends: ClassVar[bool] = False
-    """Whether e bends with the joints while it draws the robot to a target: `way` and `pull` say how."""
+    """Whether e bends with the joints and draws the robot to a target: see `way` and `pull`."""
 
     def way(self, model: mujoco.MjModel) -> "Way":
         """Return the dofs that move the frame, in their order."""
