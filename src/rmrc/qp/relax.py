@@ -39,16 +39,19 @@ def least_violation(
         allow: Gives a backend the time that is left; returns whether there is any.
     """
     n, rows, equalities = qp.g.size, qp.lo.size, qp.f.size
-    slack = QP(n + rows + equalities, rows, equalities)
-    slack.H.flat[:: slack.g.size + 1] = 1.0
-    slack.H.flat[: n * (slack.g.size + 1) : slack.g.size + 1] = REST
+    braked = qp.C @ brake
+    gives = np.flatnonzero((qp.lo > braked) | (qp.hi < braked))  # of the others s is 0
+    m = n + gives.size
+    slack = QP(m + equalities, rows, equalities)
+    diagonal = np.ones(m + equalities)
+    diagonal[:n] = REST
+    np.fill_diagonal(slack.H, diagonal)
     slack.g[:n], slack.lb[:n], slack.ub[:n] = -REST * brake, qp.lb, qp.ub
-    braked, given = qp.C @ brake, slice(n, n + rows)
-    slack.lb[given] = -np.maximum(0.0, braked - qp.hi)
-    slack.ub[given] = np.maximum(0.0, qp.lo - braked)
+    slack.lb[n:m] = -np.maximum(0.0, braked - qp.hi)[gives]
+    slack.ub[n:m] = np.maximum(0.0, qp.lo - braked)[gives]
     slack.C[:, :n], slack.lo[:], slack.hi[:] = qp.C, qp.lo, qp.hi
-    slack.C[:, given] = np.eye(rows)
-    slack.E[:, :n], slack.E[:, n + rows :], slack.f[:] = qp.E, np.eye(equalities), qp.f
+    slack.C[gives, n + np.arange(gives.size)] = 1.0
+    slack.E[:, :n], slack.E[:, m:], slack.f[:] = qp.E, np.eye(equalities), qp.f
     certificate = Certificate(slack)
     for name in ("daqp", "proxqp"):
         solver = create(name)
