@@ -301,3 +301,15 @@ def test_a_loop_of_many_rows_holds_them_all(tmp_path: Path) -> None:
     assert np.abs(runs["native"] - runs["python"]).max() < CLOSED
     reached = rmrc.compile(given).forward(runs["native"])["hand"][:3, 3]
     assert np.linalg.norm(reached - [0.1, 0.0, 0.28284]) < 1e-3
+
+
+@pytest.mark.parametrize("engine", ["native", "python"])
+def test_a_hard_task_that_means_no_direction_holds_nothing(repository: Path, engine: Any) -> None:
+    nothing = HAND | {"name": "nothing", "hard": True, "B": 0.0}
+    moving = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}
+    problem = compiled(repository, "panda", [nothing, moving], start="home")
+    controller = rmrc.Controller(problem, engine=engine)
+    controller.set_target("hand", position=[0.5, 0.2, 0.4])
+    step = controller.step()
+    assert step.status < rmrc.Status.MAX_ITER
+    assert step.v.any()
