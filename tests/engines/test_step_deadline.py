@@ -36,7 +36,7 @@ MOST = {"panda": 1.2e-3, "panda, stopping": 1.2e-3, "panda, strict": 1.2e-3, "ch
 QUICK = 3e-3
 """s: of steps without a deadline that were 43 to 78 ms before the ladder came to C++."""
 KEPT = 1e-6
-"""m; `rmrc.qp.rows.PASSED`."""
+"""m; `rmrc.problem.limits.extents.FINEST`."""
 ROUNDING = 1e-12
 MOVED = 0.03
 """rad, of the joint that is moved most."""
