@@ -219,7 +219,7 @@ class Shortening:
                 return 0.0, passed
         if self._still and not brake.any():
             return 0.0, False
-        # The brake may move on, as where joints come back into their ranges: one look says where to.
+        # The brake may move on, as where joints come back into their ranges: one look at its end.
         everything = [np.arange(each.ids.size) for each in watched]
         return 0.0, self._look(rest, 1.0, watched, everything).least < -self._tolerance
 
