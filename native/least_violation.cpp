@@ -68,6 +68,7 @@ bool LeastViolation::find(const Program& limits, const double* brake,
     const double gain = -dot(g_.data(), step_.data(), size_);
     if (!(gain > least_gain + least_share * before * before)) return true;
     const double share = search();
+    if (share == 1.0 && agrees()) k = most_steps;
     for (int i = 0; i < size_; ++i) {
       v_[i] = std::min(std::max(v_[i] + share * step_[i], limits.lb[i]), limits.ub[i]);
     }
@@ -170,6 +171,17 @@ double LeastViolation::search() const {
     (found < 0.0 ? slope_low : slope_high) = found;
   }
   return low;
+}
+
+// Whether the piece that the step was found on is the one it leads to, but for rounding: there is
+// nothing to gain then by another.
+bool LeastViolation::agrees() const {
+  for (int r = 0; r < limits_.rows; ++r) {
+    const double by = excess(r, at_[r]), end = at_[r] + change_[r];
+    const double linear = by == 0.0 ? 0.0 : by + change_[r];
+    if (std::abs(linear - excess(r, end)) > room) return false;
+  }
+  return true;
 }
 
 }  // namespace rmrc

@@ -39,6 +39,7 @@ class LeastViolation {
   Status solve(double rest, QPSolver::Clock::time_point end);
   double slope(double share) const;
   double search() const;
+  bool agrees() const;
   void follow(const double* x, std::vector<double>& rows, std::vector<double>& equalities) const;
 
   int size_;

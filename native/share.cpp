@@ -35,11 +35,17 @@ Share Shortening::share(const double* v, const double* brake, double dt,
     blend(v, brake, high, dt);
     if (worst(0.0)) return {high, false};
   }
-  // The brake is what the step before has left.
-  if (is_over(end_)) return {0.0, false};
-  // That may be used up by rounding.
   path_.set_out(brake, dt);
-  return {0.0, !worst(-tolerance_) && !is_over(end_)};
+  // What the step before has left may be used up by rounding.
+  if (!is_over(end_)) {
+    const bool kept = worst(-tolerance_);
+    if (kept || !is_over(end_)) return {0.0, !kept};
+  }
+  const bool moves = std::any_of(brake, brake + n_, [](double rate) { return rate != 0.0; });
+  if (still_ && !moves) return {0.0, false};
+  // The brake may move on, as where joints come back into their ranges: one look says where to.
+  look(1.0, all_.data(), count_, begin_);
+  return {0.0, begin_.least < -tolerance_};
 }
 
 // Return a share below `high` at which the worst entry of the last look has room again.

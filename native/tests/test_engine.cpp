@@ -324,7 +324,9 @@ std::vector<double> run_limited(int steps) {
     if (taken) fixture.stepper->write(out.data());
     expect(allocations == before, "called for memory beside limits", k);
     shortened += fixture.engine->share() < 1.0;
-    corrected += fixture.engine->moved() && fixture.engine->lower()[3] > fixture.lower[3];
+    for (int r = 3; r < fixture.rows->count(); ++r) {
+      corrected += fixture.engine->moved() && fixture.engine->lower()[r] > fixture.lower[r];
+    }
     expect(taken, "not taken beside limits", k);
     relaxed += fixture.engine->relaxed();
     double segment[6];

@@ -13,6 +13,7 @@ import pytest
 
 import rmrc
 from models import config
+from rmrc.control.native_batch import NativeBatch
 
 _native = pytest.importorskip(
     "rmrc._native", reason="the native extension is not built", exc_type=ImportError
@@ -133,9 +134,9 @@ def test_a_batch_of_two_problems(repository: Path, monkeypatch: pytest.MonkeyPat
 def test_a_controller_outlives_its_batch(repository: Path) -> None:
     """What its collision limits remember stands in the batch's memory for as long as that is."""
     given = problem(repository, collision={"pairs": "all"})
-    batch: Any = rmrc.BatchController(given, 3, threads=1, engine="native")
-    batch.step()
-    first, alone = batch._elements._first, rmrc.Controller(given, engine="native")
+    first, alone = (rmrc.Controller(given, engine="native") for _ in range(2))
+    batch = NativeBatch(given, [first], 3)
+    batch.step(None, given.dt)
     del batch
     first.reset()
     for _ in range(5):

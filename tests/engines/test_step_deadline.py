@@ -33,9 +33,15 @@ BESIDE = 150e-6
 """s: what Python adds to a step, the kinematics before it, and a cache that others have used."""
 MOST = {"panda": 1.2e-3, "panda, stopping": 1.2e-3, "panda, strict": 1.2e-3, "chain": 3e-3}
 """s: the whole step of the Panda and of the chain, whatever its rows take."""
+QUICK = 3e-3
+"""s: of steps without a deadline that were 43 to 78 ms before the ladder came to C++."""
 KEPT = 1e-6
-"""m; `rmrc.qp.rows.PASSED`."""
+"""m; `rmrc.problem.limits.extents.FINEST`."""
 ROUNDING = 1e-12
+MOVED = 0.03
+"""rad, of the joint that is moved most."""
+LOST = 2e-5
+"""m: 1,200 steps may take off 1e-9 m each, and once what is measured of a mesh jumps by."""
 
 
 @pytest.fixture(autouse=True)
@@ -88,7 +94,7 @@ def test_no_step_of_a_chain_is_late(tmp_path: Path) -> None:
 def test_the_python_engine_gives_its_rungs_no_more_time_than_there_is(tmp_path: Path) -> None:
     """It cannot be on time, but does not go on to a rung when the time is over."""
     made = problem("chain", tmp_path, 1e6 * DEADLINE)
-    places, took = list(walk(made, 8)), {}
+    places, took = list(walk(made, 2)), {}
     for name, deadline in (("late", DEADLINE), ("free", np.inf)):
         controller = Controller(replace(made, deadline=deadline), "python")
         begin = time.thread_time()
@@ -146,27 +152,36 @@ def test_without_time_a_step_brakes_and_keeps_its_distances(engine: Any) -> None
             after = least_distance(made, late.q, pairs)
             assert (after >= np.minimum(before, 0.02) - KEPT).all()
             before = after
-        assert not step.v.any()
+        assert not late._v.any()
 
 
 # Geoms that overlap at the start.
 
 
-def test_arms_that_are_inside_each_other_say_so_in_time(menagerie: Path) -> None:
-    """From MuJoCo's own start of ALOHA no motion takes all pairs that overlap apart."""
+def test_arms_that_are_inside_each_other_move_until_they_are_stuck(menagerie: Path) -> None:
+    """From MuJoCo's own start of ALOHA no motion takes all pairs apart that overlap."""
     made = problem("aloha", Path())
+    [limit] = (barrier for barrier in made.barriers if isinstance(barrier, CollisionPairs))
+    pairs = [(int(a), int(b)) for a, b in limit.geoms]
     controller, took = Controller(made, "native"), []
     pose = made.term["left_gripper"].target
     assert controller.set_target("left_gripper", pose[4:] + 0.05)
-    for _ in range(400):
+    for _ in range(100):  # fingers that start outside their ranges come back, which goes first
+        controller.step()
+    before = least_distance(made, controller.q, pairs)
+    for _ in range(1200):
         begin = time.thread_time()
-        step = controller.step()
+        controller.step()
         took.append(time.thread_time() - begin)
-    assert np.percentile(took, 10) < DEADLINE  # they are all alike
+    step = controller.step()
+    assert np.percentile(took, 10) < QUICK  # they are all alike
+    assert np.abs(step.q - made.start).max() > MOVED
+    after = least_distance(made, step.q, pairs)
+    assert (after >= np.minimum(before, 0.02) - LOST).all()
     assert {Status.STUCK, Status.RELAXED, Status.RECOVERING} <= step.flags
     account = step.explain()
-    assert len(account.passed) > 20
-    assert account.passed[0].by == max(passed.by for passed in account.passed)
+    assert len(account.passed) == np.count_nonzero(after < 0.02 - KEPT)
+    assert account.passed[0].by == pytest.approx(0.02 - after.min(), abs=KEPT)
     assert f"{account.passed[0].name} by" in str(account)
 
 
@@ -175,7 +190,7 @@ def test_no_row_is_relaxed_to_less_than_the_brake_keeps(menagerie: Path) -> None
     native: Any = Controller(made, "native").engine
     python: Any = Controller(made, "python").engine
     still, relaxed = np.zeros(made.model.nv), 0
-    for place in walk(made, 40, seed=3):
+    for place in walk(made, 25, seed=3):
         native.solve(place.q, still, made.dt)
         solution = python.solve(place.q, still, made.dt)
         asked, qp, other = python.rows.lower, python.assembly.qp, native.assembly.qp
@@ -188,7 +203,8 @@ def test_no_row_is_relaxed_to_less_than_the_brake_keeps(menagerie: Path) -> None
         given = [np.maximum(asked - lower, 0.0) for lower in (qp.lo, other.lo)]
         for way in given:
             assert (way <= np.maximum(asked - braked, 0.0) + KEPT).all()
-        assert np.linalg.norm(given[1]) == pytest.approx(np.linalg.norm(given[0]), abs=KEPT)
+        # Where its solvers give up, the Python engine has what the brake gives.
+        assert np.linalg.norm(given[1]) <= np.linalg.norm(given[0]) + KEPT
     assert relaxed
 
 

@@ -22,6 +22,9 @@ TIE = 1e-6
 MEASURED = 1e-3
 """Relative, of commands that were shortened or corrected: MuJoCo's distances of meshes jump by 1e-7
 from one configuration to the next, and so does the share that is found by measuring them."""
+SLACK = 0.01
+"""Relative, of what rows give way: where a row hardly depends on the joints, 1e-10 m/s of it decide
+about 1e-5 m/s of others, and DAQP passes it by that."""
 ROUNDING = 1e-13
 """Of merits, relative to the largest of 1 and themselves."""
 MOST_APART = 0.1
@@ -73,14 +76,18 @@ def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
 
     Now and then the limits leave so little that DAQP's own tolerance decides about v: hard tasks
     that cannot be met, or levels at a singularity in a corner of the box. Of such a step the native
-    engine has to have the better command. What is left of a command by the check of the distances
-    at its end depends on how they are measured there (see `MEASURED`).
+    engine has to have the better command. So has it to let rows give way by no more, where they are
+    given slack: that leaves no more room than tolerances are wide. What is left of a command by the
+    check of the distances at its end depends on how they are measured there (see `MEASURED`).
     """
     apart = 0
     for python, native in twins(problem, steps, moving):
         np.testing.assert_allclose(native.moment.error, python.moment.error, atol=SAME_ERROR)
         assert native.moment.engine.relaxed == python.moment.engine.relaxed
         if difference(native.v, python.v) > SAME:
+            if is_slack(native) and is_slack(python):
+                assert way_given(native) <= (1.0 + SLACK) * way_given(python) + MET
+                continue
             apart += 1
             if is_corrected(native, python):
                 assert difference(native.v, python.v) < MEASURED
@@ -96,6 +103,19 @@ def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
 def difference(v: Array, expected: Array) -> float:
     """Return the largest difference of two velocities, relative to the largest element."""
     return float(np.abs(v - expected).max() / max(np.abs(expected).max(), LEAST_RATE))
+
+
+def is_slack(step: Step) -> bool:
+    """Return whether rows were given slack."""
+    engine = step.moment.engine
+    asked, lower = engine.rows.lower, engine.assembly.qp.lo
+    return asked.size == lower.size and bool((lower < asked).any())
+
+
+def way_given(step: Step) -> float:
+    """Return by how much rows gave way in all, rad/s or m/s."""
+    engine = step.moment.engine
+    return float(np.linalg.norm(np.maximum(engine.rows.lower - engine.assembly.qp.lo, 0.0)))
 
 
 def is_corrected(native: Step, python: Step) -> bool:

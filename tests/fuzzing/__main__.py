@@ -36,7 +36,7 @@ def main() -> int:
     from fuzzing import arguments, controllers, programs
 
     end, failures, seed = perf_counter() + options.seconds, 0, options.seed
-    counts = dict.fromkeys(("programs", "controllers", "arguments"), 0)
+    counts: dict[str, int] = {"programs": 0, "controllers": 0, "arguments": 0}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         parts = {

@@ -12,7 +12,8 @@ SAME = 1e-9
 """Of v, from a cold start and after hostile programs, relative to the largest of 1 and ‖v‖."""
 INSIDE = 1e-6
 """By how much a solution may pass a bound, relative to the largest of 1 and the bound."""
-Program = tuple[Array, ...]
+Program = tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array]
+"""H, g, lb, ub, C, lo, hi, E and f."""
 
 
 def hessian(rng: Generator, n: int, hostile: float) -> Array:

@@ -63,7 +63,8 @@ def scene(rng: Generator) -> Scene:
             f'<body name="b{k}" pos="{vector(rng)}" euler="{vector(rng, 90)}">{joints}'
             f'{geom(rng, f"g{k}")}<site name="s{k}" pos="{vector(rng)}"/>'
         )
-        made.bodies.append(f"b{k}"), made.sites.append(f"s{k}"), made.geoms.append(f"g{k}")
+        for names, letter in ((made.bodies, "b"), (made.sites, "s"), (made.geoms, "g")):
+            names.append(f"{letter}{k}")
 
     def tree(k: int) -> str:
         return texts[k] + "".join(tree(child) for child in children[k]) + "</body>"

@@ -10,7 +10,7 @@ from soaking.episode import Episode
 from soaking.figures import Figures
 from soaking.scenes import SCENES, TREE_EPISODES, Scene, Trees
 
-STEPS = 10_000
+STEPS = 5_000
 HERE = [scene for scene in SCENES if not scene.source.startswith("menagerie:")]
 CONFIGURATIONS = 8
 """Of each scene."""
@@ -41,9 +41,9 @@ def test_no_step_breaks_a_promise(scene: Scene, tmp_path: Path) -> None:
     assert len(figures.statuses) > 3
 
 
-SEEDS = 160
+SEEDS = 64
 """Of random trees: four trees to a part, each with as many configurations."""
-STEPS_OF_TREE = 30
+STEPS_OF_TREE = 25
 
 
 @pytest.mark.parametrize("first", range(0, SEEDS, 4 * TREE_EPISODES))

@@ -15,7 +15,6 @@ from rmrc.problem.limits.joints import joint_name
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution
-from rmrc.qp.rows import PASSED
 
 if TYPE_CHECKING:
     from rmrc.control.step import Step
@@ -163,7 +162,7 @@ def _passed(moment: Moment) -> list[Passed]:
         for entry, distance in zip(
             block.near.ids.tolist(), block.near.distance.tolist(), strict=True
         )
-        if distance < -PASSED
+        if distance < -moment.engine.problem.resolution
     ]
     return sorted(found, key=lambda passed: -passed.by)
 

@@ -180,7 +180,7 @@ class Shortening:
         """Return s, and whether a distance falls below its limit even so.
 
         What the clock cuts short is not known to keep distances: s is then 0, for the brake is what
-        the step before has left.
+        the step before has left, and only the end of the step is looked at.
 
         Args:
             data: The present configuration and the mocap bodies.
@@ -212,11 +212,16 @@ class Shortening:
             look = self._worst(_Path(brake + high * (v - brake), self._box, dt), watched)
             if look.least >= 0.0:
                 return high, False
-        if self._is_over():
+        if not self._is_over():
+            # What the step before has left may be used up by rounding.
+            passed = self._worst(rest, watched, -self._tolerance).least < -self._tolerance
+            if not passed or not self._is_over():
+                return 0.0, passed
+        if self._still and not brake.any():
             return 0.0, False
-        # What the step before has left may be used up by rounding.
-        passed = self._worst(rest, watched, -self._tolerance).least < -self._tolerance
-        return 0.0, passed and not self._is_over()
+        # The brake may move on, as where joints come back into their ranges: one look at its end.
+        everything = [np.arange(each.ids.size) for each in watched]
+        return 0.0, self._look(rest, 1.0, watched, everything).least < -self._tolerance
 
     def _is_over(self) -> bool:
         """Return whether the time is over."""

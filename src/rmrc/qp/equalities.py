@@ -89,7 +89,7 @@ class Equalities:
         except np.linalg.LinAlgError:  # not finite: the program itself says so
             self.matrix, self.right = stack, self._rate
             return
-        rank = np.count_nonzero(sigma > RANK * max(1.0, *sigma[:1]))
+        rank = np.count_nonzero(sigma > RANK * sigma.max(initial=1.0))
         left = left[:, :rank]
         self.matrix = left.T @ stack
         self.right = self._rate @ left

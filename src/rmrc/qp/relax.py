@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rmrc.qp.backends import Backend, create
 from rmrc.qp.certificate import Certificate
-from rmrc.qp.program import QP, SolveStatus
+from rmrc.qp.program import QP, Solution, SolveStatus
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,8 @@ def least_violation(
     the limit of an exact penalty, for what violates the rows least comes before all costs; and no
     row is violated more than by the brake b, so that one pair of geoms that should come apart never
     drives another together. Return the violation ‖[s; t]‖, which is 0 where there is room after
-    all, and v (n,); None, and nothing is changed, where they were not found.
+    all, and v (n,), which is b where none was found; None, and nothing is changed, where the time
+    is over or b means nothing.
 
     Args:
         qp: The program, whose cost is not read.
@@ -39,17 +40,20 @@ def least_violation(
         allow: Gives a backend the time that is left; returns whether there is any.
     """
     n, rows, equalities = qp.g.size, qp.lo.size, qp.f.size
-    slack = QP(n + rows + equalities, rows, equalities)
-    slack.H.flat[:: slack.g.size + 1] = 1.0
-    slack.H.flat[: n * (slack.g.size + 1) : slack.g.size + 1] = REST
+    braked = qp.C @ brake
+    gives = np.flatnonzero((qp.lo > braked) | (qp.hi < braked))  # of the others s is 0
+    m = n + gives.size
+    slack = QP(m + equalities, rows, equalities)
+    diagonal = np.ones(m + equalities)
+    diagonal[:n] = REST
+    np.fill_diagonal(slack.H, diagonal)
     slack.g[:n], slack.lb[:n], slack.ub[:n] = -REST * brake, qp.lb, qp.ub
-    braked, given = qp.C @ brake, slice(n, n + rows)
-    slack.lb[given] = -np.maximum(0.0, braked - qp.hi)
-    slack.ub[given] = np.maximum(0.0, qp.lo - braked)
+    slack.lb[n:m] = -np.maximum(0.0, braked - qp.hi)[gives]
+    slack.ub[n:m] = np.maximum(0.0, qp.lo - braked)[gives]
     slack.C[:, :n], slack.lo[:], slack.hi[:] = qp.C, qp.lo, qp.hi
-    slack.C[:, given] = np.eye(rows)
-    slack.E[:, :n], slack.E[:, n + rows :], slack.f[:] = qp.E, np.eye(equalities), qp.f
-    certificate = Certificate(slack)
+    slack.C[gives, n + np.arange(gives.size)] = 1.0
+    slack.E[:, :n], slack.E[:, m:], slack.f[:] = qp.E, np.eye(equalities), qp.f
+    certificate, solution = Certificate(slack), Solution.at_rest(slack)
     for name in ("daqp", "proxqp"):
         solver = create(name)
         if not allow(solver):
@@ -64,11 +68,15 @@ def least_violation(
         if solution.status is SolveStatus.SOLVED and solution.kkt.primal < INCONSISTENT:
             break
     else:
-        return None
-    v = solution.v[:n]
+        if not np.isfinite(braked).all():
+            return None
+        solution.v[:n] = brake  # which rows may give way for
+    v = solution.v[:n].copy()
     activity = qp.C @ v
+    given = np.concatenate(
+        [np.maximum(np.maximum(qp.lo - activity, activity - qp.hi), 0.0), qp.E @ v - qp.f]
+    )
     np.minimum(qp.lo, activity - ROOM, out=qp.lo)
     np.maximum(qp.hi, activity + ROOM, out=qp.hi)
     qp.f[:] = qp.E @ v
-    violation = solution.v[n:]
-    return math.sqrt(violation.dot(violation)), v
+    return math.sqrt(given.dot(given)), v
