@@ -56,6 +56,16 @@ class Ask:
         """A (n, n)."""
         return self.assembly.metric()
 
+    @property
+    def curved(self) -> Array:
+        """A + X (n, n), with the curvature of the highest level's tasks."""
+        assembly, levels = self.assembly, self.assembly.curvature.levels
+        if not levels:
+            return self.metric
+        highest = min(levels)
+        unit = assembly.unit * self.problem.soft_ratio**highest
+        return self.metric + np.diag(levels[highest]) / unit
+
 
 def _descent(ask: Ask) -> Array:
     """Return one step of gradient descent on ½ eᵀBe with a line search, as a velocity."""
@@ -84,7 +94,7 @@ METHODS: dict[str, Callable[[Ask], Array | reference.Saturation]] = {
     "pinv": lambda ask: reference.pinv(ask.jacobian, ask.rate),
     "weighted": lambda ask: reference.weighted(ask.jacobian, ask.rate, ask.metric),
     "dls": lambda ask: reference.weighted_dls(
-        ask.jacobian, ask.rate, ask.metric, ask.weight, ask.assembly.damping
+        ask.jacobian, ask.rate, ask.curved, ask.weight, ask.assembly.damping
     ),
     "sdls": lambda ask: reference.selectively_damped(ask.jacobian, ask.rate * ask.dt) / ask.dt,
     "nullspace": lambda ask: reference.prioritized(
