@@ -193,6 +193,7 @@ class Engine {
   void at_distance(double dt);
   void keep_distances(double dt);
   bool misses() const;
+  bool is_forced() const;
   void move_limits();
 
   // What becomes of a program that is solved, but for the vectors.

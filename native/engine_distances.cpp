@@ -14,6 +14,7 @@ namespace {
 // rmrc.control.engine: CERTIFIED and GAINED.
 constexpr double certified = 1e-6;
 constexpr double gained = 1e-3;
+constexpr double forced = 1e-9;  // rmrc.control.engine.FORCED
 
 }  // namespace
 
@@ -57,10 +58,26 @@ void Engine::keep_distances(double dt) {
   brake(brake_.data());
   const Share found = shortening_->share(v_.data(), brake_.data(), dt, end_);
   share_ = found.share;
-  relaxed_ |= found.passed;
+  relaxed_ |= found.passed || (share_ == 0.0 && !in_time() && is_forced());
   if (share_ == 1.0) return;
   for (int i = 0; i < size(); ++i) v_[i] = brake_[i] + share_ * (v_[i] - brake_[i]);
   relaxed_ |= !boxed_ && misses();
+}
+
+// Whether the brake goes on otherwise than the joints would stop by themselves, as where they come
+// back into their ranges: its way to rest is then not what the step before has looked at.
+bool Engine::is_forced() const {
+  const JointLimits& limits = box_.limits();
+  std::vector<int>::const_iterator ball = limits.balls.begin();
+  for (int i = 0; i < size(); ++i) {
+    while (ball != limits.balls.end() && *ball + 3 <= i) ++ball;
+    const bool turns = ball != limits.balls.end() && *ball <= i;
+    const double a = limits.acceleration[i];
+    if (turns || !std::isfinite(a)) continue;  // a ball brakes about its axis
+    const double left = std::max(std::abs(v_previous_[i]) - a * dt_, 0.0);
+    if (std::abs(brake_[i]) > left + forced) return true;
+  }
+  return false;
 }
 
 // Whether a shortened command misses equalities, or is faster than a frame may be: of a speed its

@@ -17,6 +17,7 @@ constexpr int most_changes = 10000;  // of the working set in each
 // What a step has to gain of the violation, and of its share, at least.
 constexpr double least_gain = 1e-20;
 constexpr double least_share = 1e-18;
+constexpr double settled = 1e-6;  // share of the violation's square below which it is not repeated
 constexpr int most_looks = 60;  // at the slope along a step
 constexpr double flat = 1e-9;   // share of the slope at its beginning that is none
 
@@ -68,7 +69,8 @@ bool LeastViolation::find(const Program& limits, const double* brake,
     const double gain = -dot(g_.data(), step_.data(), size_);
     if (!(gain > least_gain + least_share * before * before)) return true;
     const double share = search();
-    if (share == 1.0 && agrees()) k = most_steps;
+    // On the piece that it ends on a step is whole, but for what the small weight has kept back.
+    if (share == 1.0 && agrees() && !(gain > settled * before * before)) k = most_steps;
     for (int i = 0; i < size_; ++i) {
       v_[i] = std::min(std::max(v_[i] + share * step_[i], limits.lb[i]), limits.ub[i]);
     }

@@ -86,7 +86,10 @@ def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
         assert native.moment.engine.relaxed == python.moment.engine.relaxed
         if difference(native.v, python.v) > SAME:
             if is_slack(native) and is_slack(python):
-                assert way_given(native) <= (1.0 + SLACK) * way_given(python) + MET
+                assert beyond_brake(native) <= MET
+                whole = native.moment.share == python.moment.share == 1.0
+                if whole and beyond_brake(python) <= MET:
+                    assert way_given(native) <= (1.0 + SLACK) * way_given(python) + MET
                 continue
             apart += 1
             if is_corrected(native, python):
@@ -113,9 +116,23 @@ def is_slack(step: Step) -> bool:
 
 
 def way_given(step: Step) -> float:
-    """Return by how much rows gave way in all, rad/s or m/s."""
+    """Return by how much rows give way in all to the command, rad/s or m/s."""
+    rows, dofs = step.moment.engine.rows, step.moment.engine.problem.dofs
+    return float(np.linalg.norm(np.maximum(rows.lower - rows.matrix @ step.v[dofs], 0.0)))
+
+
+def beyond_brake(step: Step) -> float:
+    """Return by how much more a row gives way to the command than to the brake, at most.
+
+    DAQP passes that limit by its tolerance, and 1e-7 of it is worth a hundredth of the violation
+    where rows are nearly insensitive: what is gained so does not count.
+    """
     engine = step.moment.engine
-    return float(np.linalg.norm(np.maximum(engine.rows.lower - engine.assembly.qp.lo, 0.0)))
+    rows, dofs, qp = engine.rows, engine.problem.dofs, engine.assembly.qp
+    brake = np.clip(0.0, qp.lb, qp.ub)
+    given = np.maximum(rows.lower - rows.matrix @ step.v[dofs], 0.0)
+    allowed = np.maximum(rows.lower - rows.matrix @ brake, 0.0)
+    return float((given - allowed).max(initial=0.0))
 
 
 def is_corrected(native: Step, python: Step) -> bool:

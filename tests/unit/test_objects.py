@@ -79,6 +79,7 @@ GRASP = {"name": "grasp", "type": "relative_frame", "frame": {"site": "tcp"},
          "root": {"body": "cup"}, "B": {"position": 1.0, "orientation": 0.0}}  # fmt: skip
 ALL = scene(ARM, CUP, DOOR)
 DRIVEN = scene(ARM, CUP, DOOR, actuators=MOTORS)
+LOOP = {"name": "loop", "type": "loop"}
 EQUALITIES = '<equality><connect name="pin" body1="cup" body2="fore" anchor="0 0 0"/></equality>'
 CHAINED = EQUALITIES.replace("fore", "latch").replace(
     "</equality>", '<joint joint1="door_hinge" joint2="j1"/></equality>'
@@ -120,12 +121,14 @@ RIMMED = CUP.replace("</body>", '<site name="rim"/></body>')
         (DRIVEN, [HAND], ["j1", "cup_free"], ["door"]),
         (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [{"name": "l", "type": "loop"}], None, []),
         (scene(ARM, CUP, DOOR, actuators=TENDON), [HAND], None, ["cup"]),
-        (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [HAND], None, []),
+        # An equality that no task holds ties nothing to the robot.
+        (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [HAND], None, ["cup"]),
+        (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [HAND, LOOP], None, []),
         (scene(ARM, CUP, DOOR, actuators=EQUALITIES.replace("fore", "latch") + MOTORS), [HAND],
          None, ["cup", "door"]),
         (scene(ARM, CUP, actuators=EQUALITIES.replace("fore", "world") + MOTORS), [HAND], None,
          ["cup"]),
-        (scene(ARM, CUP, DOOR, actuators=CHAINED + MOTORS), [HAND], None, []),
+        (scene(ARM, CUP, DOOR, actuators=CHAINED + MOTORS), [HAND, LOOP], None, []),
         (scene(ARM, RIMMED, DOOR, actuators=ROPE), [HAND], None, ["door"]),
         (scene(ARM, RIMMED, actuators='<actuator><general site="rim"/></actuator>'), [HAND], None,
          []),

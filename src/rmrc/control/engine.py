@@ -37,6 +37,8 @@ GAINED = 1e-3
 """Share of the command that solving again has to gain: less is what distances jump by."""
 MORE_ROOM = 1e-8
 """What relaxed rows are given besides where nothing solves their program, rad/s or m/s."""
+FORCED = 1e-9
+"""Rate by which a brake exceeds that of the joints alone, rad/s or m/s: more than rounding."""
 MOST_SHAPES = 256
 """Numbers of rows for which a backend is kept."""
 
@@ -371,7 +373,21 @@ class PythonEngine:
         if self.share < 1.0:
             solution.v = brake + self.share * (solution.v - brake)
             passed = passed or self._misses(solution.v)
+        if self.share == 0.0 and not self._in_time():
+            passed = passed or self._is_forced(brake)
         self.relaxed |= passed
+
+    def _is_forced(self, brake: Array) -> bool:
+        """Return whether the brake goes on otherwise than the joints would stop by themselves.
+
+        So it does where they come back into their ranges: its way to rest is then not what the step
+        before has looked at.
+        """
+        box, before = self.problem.box, self.evaluation.v_previous[self.problem.dofs]
+        left = np.maximum(np.abs(before) - box.acceleration * self._dt, 0.0)
+        left[(box.balls[:, None] + np.arange(3)).ravel()] = np.inf  # a ball brakes about its axis
+        limited = np.isfinite(box.acceleration)
+        return bool((np.abs(brake) > left + FORCED)[limited].any())
 
     def _misses(self, v: Array) -> bool:
         """Return whether a shortened command misses equalities, or rows that are no distances'.

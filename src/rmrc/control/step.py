@@ -46,7 +46,7 @@ class Status(IntEnum):
 
 ADVICE = {
     Status.OK: "Solved; no limit is active.",
-    Status.LIMITED: "Solved; at least one joint is at a limit, so the task may lag behind.",
+    Status.LIMITED: "Solved; at least one limit is active, so the task may lag behind.",
     Status.SCALED: "A direction-preserving task runs slower than asked, to stay inside the limits.",
     Status.DAMPED: "The damping is above its floor: near a singularity, or far from the target.",
     Status.RECOVERING: "A joint or a distance is outside its limit and is moving back inside.",

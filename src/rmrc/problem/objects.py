@@ -17,8 +17,6 @@ Ids = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 _T = mujoco.mjtTrn
-_E = mujoco.mjtEq
-_TYING = (_E.mjEQ_CONNECT, _E.mjEQ_WELD, _E.mjEQ_JOINT, _E.mjEQ_TENDON)
 _WRAPPED_GEOMS = (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)
 
 
@@ -75,10 +73,9 @@ class Objects:
 def find_objects(model: mujoco.MjModel, claimed: Iterable[int]) -> Objects:
     """Return the trees of joints that no actuator drives and that nobody claims.
 
-    A tree is what hangs on a child of the world. One that an active equality ties to the robot is
-    the robot's, as a cup in its grip or the other half of a closed chain. Where all would be
-    objects, only those are that are a single free body; and where then still nothing would move,
-    nothing is.
+    A tree is what hangs on a child of the world. Where all would be objects, only those are that
+    are a single free body; and where then still nothing would move, nothing is. What a `loop` task
+    holds together it names.
 
     Args:
         model: The model.
@@ -86,7 +83,7 @@ def find_objects(model: mujoco.MjModel, claimed: Iterable[int]) -> Objects:
     """
     trees = {int(root) for root in model.body_rootid[model.dof_bodyid]}
     robot = {int(model.body_rootid[body]) for body in (*claimed, *_driven(model))} & trees
-    found = trees - _tied(model, trees, robot)
+    found = trees - robot
     if found == trees:
         found = {root for root in trees if _is_free_body(model, root)}
     return Objects(model, () if found == trees else tuple(sorted(found)))
@@ -127,18 +124,6 @@ def bodies_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
         return [int(model.jnt_bodyid[joint]) for joint in ids]
     of_sites = int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE)
     return [int(model.site_bodyid[i]) for i in ids] if of_sites else ids
-
-
-def _tied(model: mujoco.MjModel, trees: set[int], robot: set[int]) -> set[int]:
-    """Return the robot's trees and those that active equalities tie to them, one by another."""
-    ties = [
-        {int(model.body_rootid[body]) for body in bodies_of_equality(model, i)} & trees
-        for i in np.flatnonzero(model.eq_active0).tolist()
-        if mujoco.mjtEq(int(model.eq_type[i])) in _TYING
-    ]
-    while joined := [tie for tie in ties if tie & robot and tie - robot]:
-        robot = robot.union(*joined)
-    return robot
 
 
 def _is_free_body(model: mujoco.MjModel, root: int) -> bool:
