@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <utility>
 
@@ -280,6 +281,23 @@ void RowTerm::add_curvature(const double* rate, double dt, double least, double*
     if (point.turns) sum += point.after;
     if (point.before >= 0) way_[point.before].after += point.after;
   }
+  if (distance_ < std::numeric_limits<double>::infinity()) add_turning(force, X);
+}
+
+// ‖v_i‖ ‖v_j‖ ‖f‖/n of a force that turns about a point n away as the frame moves.
+void RowTerm::add_turning(const double* force, double* X) {
+  const auto lever = [&](int column) {
+    double square = 0.0;
+    for (int i = 0; i < 3; ++i) {
+      const double velocity = world_[i * stride_ + column];
+      square += velocity * velocity;
+    }
+    return std::sqrt(square);
+  };
+  double sum = 0.0;
+  for (const WayPoint& point : way_) sum += lever(point.column);
+  const double bend = std::sqrt(dot3(force, force)) / distance_ * sum;
+  for (const WayPoint& point : way_) X[columns_[point.column]] += bend * lever(point.column);
 }
 
 }  // namespace rmrc

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -144,9 +145,12 @@ class RowTerm {
   std::vector<double> world_;     // J_w (6, stride): how the dofs move the frame
   bool carried_ = false;           // whether mocap bodies carry any of it
   std::vector<double> drift_;      // −∂e/∂t (rows,) of the mocap bodies
+  double distance_ = std::numeric_limits<double>::infinity();  // of what the pull turns about, m
   double carried_by_[6] = {};      // velocity of what mocap bodies carry of it, as J_w
 
  private:
+  void add_turning(const double* force, double* X);
+
   template <int rows>
   void add_rows(double* H, double* g, int n, int first) const;
 
@@ -170,15 +174,18 @@ class RowTerm {
 };
 
 /// e = log(T_bt) and J = Jl⁻¹(e) J_b: a `frame` task along the body's axes.
+///
+/// J of an error longer than `far` is that of one as long.
 class BodyFrame final : public RowTerm {
  public:
-  BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+  BodyFrame(TermData data, std::vector<double> root, Frame frame, double far, const MuJoCo& mujoco,
             const Stack& stack);
   void measure(double* measures) const override;
 
  private:
   void differentiate() override;
   Frame frame_;
+  double far_;
 };
 
 /// e = [p_t − p_b; log(R_t R_bᵀ)]: a `frame` task along the world's axes.

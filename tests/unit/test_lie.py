@@ -47,3 +47,49 @@ def test_turn_back_undoes_the_rotation_of_a_pose() -> None:
     rotation = lie.SO3(pose[:4]).as_matrix()
     turned = np.concatenate([rotation @ twist[:3], rotation @ twist[3:]])
     assert lie.turn_back(pose, turned) == pytest.approx(twist, abs=ROUNDING)
+
+
+ANGLES = (0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 0.1, 0.499, 0.501, 1.0, 3.0, np.pi)
+EXACT = 1e-12
+"""What double precision leaves of series and closed forms of numbers of the order of 1."""
+
+
+def power_series(twist: np.ndarray) -> np.ndarray:
+    """Return Jl⁻¹ (6, 6) as the inverse of Jl = Σ adⁿ/(n + 1)!."""
+    linear, angular = (lie._cross_matrix(half) for half in (twist[:3], twist[3:]))
+    adjoint = np.block([[angular, linear], [np.zeros((3, 3)), angular]])
+    left, term = np.zeros((6, 6)), np.eye(6)
+    for n in range(1, 60):
+        left += term / n
+        term = term @ adjoint / n
+    return np.linalg.inv(left)
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    half = 0.5 * float(np.linalg.norm(rotation))
+    return np.concatenate([[np.cos(half)], 0.5 * np.sinc(half / np.pi) * rotation])
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_the_inverse_left_jacobian_is_exact_at_every_angle(angle: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        axis = rng.normal(size=3)
+        twist = np.concatenate([rng.normal(size=3), angle * axis / np.linalg.norm(axis)])
+        assert lie.inverse_left_jacobian(twist) == pytest.approx(power_series(twist), abs=EXACT)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_the_logarithm_of_a_motion_is_exact_at_every_angle(angle: float) -> None:
+    """T = exp(ρ, ω) has the translation V(ω) ρ with V = Jl of SO(3)."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        axis = rng.normal(size=3)
+        twist = np.concatenate([rng.normal(size=3), angle * axis / np.linalg.norm(axis)])
+        whole = np.linalg.inv(power_series(twist)[:3, :3])
+        pose = np.concatenate([quaternion_of(twist[3:]), whole @ twist[:3]])
+        found = lie.log_motion(pose)
+        if angle == np.pi and found[3:] @ twist[3:] < 0.0:  # half a turn has two axes
+            found[3:] *= -1.0
+            continue
+        assert found == pytest.approx(twist, abs=EXACT)

@@ -77,11 +77,11 @@ def log_motion(pose: Array) -> Array:
 
 
 def inverse_left_jacobian(twist: Array) -> Array:
-    """Return Jl⁻¹ (6, 6) at a twist (ρ, ω): the rate of log(T) for a motion of T in the outer axes.
+    """Return Jl⁻¹ (6, 6) at a twist (ρ, ω): what turns a motion of T into the rate of log(T).
 
     Jl⁻¹ = [A B; 0 A] with A = I − ½Ω + c Ω², c = (1 − ½θ cot ½θ)/θ², for the matrices Ω and P of
-    the cross products with ω and ρ. B is the derivative of A along ρ, since both are one power series,
-    of the adjoint [Ω P; 0 Ω] as of Ω: B = −½P + c (ΩP + PΩ) + c′/θ (ω·ρ) Ω². At an error
+    the cross products with ω and ρ. B is the derivative of A along ρ, since both are one power
+    series, of the adjoint [Ω P; 0 Ω] as of Ω: B = −½P + c (ΩP + PΩ) + c′/θ (ω·ρ) Ω². At an error
     e = log(T_bt) it is mink's `jlog` of T_tb, which is the identity for θ² below rounding and loses
     digits below 1e-3 rad; this one is exact at every θ from 0 to π.
 

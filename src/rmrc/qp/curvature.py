@@ -1,5 +1,6 @@
 """The curvature of the tasks as a diagonal of the program: with it the robot rests out of reach."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -34,6 +35,7 @@ class Curvature:
 
         X_ii = dt (Σ_{j at or after i} ‖u_j‖ + Σ_{j before i} ‖u_i‖).
 
+    A force that turns about a point n away as the frame moves adds ‖v_i‖ ‖v_j‖ ‖f‖/n to |C_ij|.
     Where i is a hinge and j a slide their rates have two units: the two elements count as ‖u_j‖ L
     and ‖u_j‖/L, with L the model's extent. What the logarithm of a rotation or a unit vector bends
     beside this is inside the bound, as `tests/unit/test_curvature.py` holds.
@@ -93,9 +95,12 @@ class Curvature:
 
     def _add(self, term: Term, pulled: Array, way: Way, diagonal: Array) -> None:
         """Add the row sums of |C| for B x (rows,) to a diagonal (n,)."""
-        linear, angular, force, torque = term.pull(self._evaluation, pulled)
+        linear, angular, force, torque, distance = term.pull(self._evaluation, pulled)
         moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
         self._add_row_sums(np.linalg.norm(moments, axis=1), way, diagonal)
+        if distance < math.inf:
+            levers = np.linalg.norm(linear, axis=0)[list(self._column)]
+            diagonal += np.linalg.norm(force) / distance * levers.sum() * levers
 
     def joints(self, way: Way) -> list[tuple[int, int, bool, float]]:
         """Return each dof on a way, the place before it, whether it turns, and its unit."""

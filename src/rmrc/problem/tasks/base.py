@@ -1,5 +1,6 @@
 """What every task is made of: its model in the configuration and its term in the problem."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -245,6 +246,8 @@ class Pull(NamedTuple):
     """Its angular velocities (3, nv)."""
     force: Array
     torque: Array
+    distance: float = math.inf
+    """m, of the point about which the force turns as the frame's origin moves."""
 
 
 class RowlessTerm(Term):

@@ -59,7 +59,7 @@ class LookAtTerm(PointingTerm):
         direction = away / distance
         force = (turned - direction * (direction @ turned)) / distance
         velocities = self.frame.velocities(evaluation.model, evaluation.data)
-        return Pull(*velocities, force, np.cross(direction, turned))
+        return Pull(*velocities, force, np.cross(direction, turned), distance)
 
     def feed_forward(
         self, configuration: mink.Configuration, error: Array, target: Array, twist: Array
