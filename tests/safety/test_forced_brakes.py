@@ -1,6 +1,7 @@
 """What must give way although the time is over, and by how much."""
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import rmrc
+from models import config
 from rmrc.control.step import Status
 
 D_MIN = 0.05
@@ -38,7 +40,7 @@ OFFSETS = (0.0, 0.1, 2e-4)
 
 
 @pytest.fixture(params=["python", "native"])
-def engine(request: pytest.FixtureRequest) -> str:
+def engine(request: pytest.FixtureRequest) -> Any:
     if request.param == "native":
         pytest.importorskip(
             "rmrc._native", reason="the native extension is not built", exc_type=ImportError
@@ -46,14 +48,14 @@ def engine(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-def test_rows_of_all_lengths_give_way_by_the_least(tmp_path: Path, engine: str) -> None:
+def test_rows_of_all_lengths_give_way_by_the_least(tmp_path: Path, engine: Any) -> None:
     """‖E v − f‖ is that of scipy's bounded least squares where two of three rows contradict."""
     (tmp_path / "scene.xml").write_text(HINGES)
     rows = [("a", LONG), ("a", LONG), ("b", SHORT)]
     problem = rmrc.compile(
-        rmrc.Config(
-            scene=str(tmp_path / "scene.xml"),
-            tasks=[
+        config(
+            str(tmp_path / "scene.xml"),
+            [
                 {"name": f"row{k}", "type": "coupling", "coefficients": {joint: c}, "offset": off}
                 for k, ((joint, c), off) in enumerate(zip(rows, OFFSETS, strict=True))
             ],
@@ -72,16 +74,16 @@ def test_rows_of_all_lengths_give_way_by_the_least(tmp_path: Path, engine: str) 
 
 @pytest.mark.parametrize("deadline", [None, 20.0, 1.0])
 def test_a_brake_that_is_forced_on_says_so(
-    tmp_path: Path, engine: str, deadline: float | None
+    tmp_path: Path, engine: Any, deadline: float | None
 ) -> None:
     """No way to rest falls below the limit unless the step is RELAXED, whatever its deadline."""
     (tmp_path / "scene.xml").write_text(SCENE)
     problem = rmrc.compile(
-        rmrc.Config(
-            scene=str(tmp_path / "scene.xml"),
+        config(
+            str(tmp_path / "scene.xml"),
+            [{"name": "tip", "type": "frame", "frame": {"site": "tip"}}],
             dt=DT,
             solver={"deadline": deadline},
-            tasks=[{"name": "tip", "type": "frame", "frame": {"site": "tip"}}],
             limits={
                 "velocity": {"default": 1.0},
                 "acceleration": {"default": DECELERATION},
