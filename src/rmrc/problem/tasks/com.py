@@ -120,7 +120,9 @@ class ComTerm(Term):
         roots = [root for root, share in self.shares if share]
         moves = dofs_of_bodies(model)
         above = moves[roots].any(axis=0)
-        inside = [any(body_is_in(model, body, root) for root in roots) for body in model.dof_bodyid]
+        inside = np.array(
+            [any(body_is_in(model, body, root) for root in roots) for body in model.dof_bodyid]
+        )
         everything = Way(list(range(model.nv)), model.dof_parentid.tolist())
         return everything.within(set(np.flatnonzero(above | inside).tolist()))
 
