@@ -243,6 +243,7 @@ void Engine::add_curvature() {
     term->add_curvature(program_.rate, dt_, constants_.least_curvature, curvature_.data());
   }
   for (int i = 0; i < n; ++i) program_.H[i * n + i] += curvature_[i];
+  if (levels_ != nullptr) levels_->curve(rows_, program_.rate, dt_, constants_.least_curvature);
 }
 
 // Slow down what drives the errors: rmrc.qp.braking.
@@ -387,8 +388,7 @@ Ending Engine::solve_levels() {
   const Program limits = program();
   const double square = constants_.floor + *program_.added_damping;
   const std::vector<Level>& levels = levels_->gather(rows_, stack_, program_.rate,
-                                                     program_.inertia, constants_.unit * square,
-                                                     dt_, constants_.least_curvature);
+                                                     program_.inertia, constants_.unit * square);
   const Ending ending = ending_of(cascade_->solve(levels, limits, end_));
   iterations_ = cascade_->iterations();
   residuals_ = cascade_->residuals();

@@ -58,25 +58,10 @@ Levels::Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int
 
 const std::vector<Level>& Levels::gather(const std::vector<std::unique_ptr<RowTerm>>& terms,
                                          const Stack& stack, const double* rate,
-                                         const double* inertia, double damping, double dt,
-                                         double least_curvature) {
+                                         const double* inertia, double damping) {
   const double least = std::max(damping, least_damping);
-  std::fill(curvature_.begin(), curvature_.end(), 0.0);
   for (std::size_t k = 0; k < tasks_.size(); ++k) {
     levels_[k].damping = least;
-    // A level bears the curvature of those above it, too: what it moves costs them the second order.
-    const std::size_t n = dofs_.size();
-    double* curvature = curvature_.data() + k * n;
-    levels_[k].curvature = k > 0 ? levels_[k - 1].curvature : nullptr;
-    if (levels_[k].curvature != nullptr) {
-      std::copy_n(levels_[k].curvature, n, curvature);
-      levels_[k].curvature = curvature;
-    }
-    for (const LevelTasks::Part& part : tasks_[k].parts) {
-      if (!terms[part.term]->bends()) continue;
-      terms[part.term]->add_curvature(rate, dt, least_curvature, curvature);
-      levels_[k].curvature = curvature;
-    }
     gather(tasks_[k], terms, stack, rate, levels_[k]);
   }
   if (!last_.empty()) {
@@ -84,6 +69,24 @@ const std::vector<Level>& Levels::gather(const std::vector<std::unique_ptr<RowTe
     levels_.back().metric = last_.data();
   }
   return levels_;
+}
+
+void Levels::curve(const std::vector<std::unique_ptr<RowTerm>>& terms, const double* rate,
+                   double dt, double least) {
+  const std::size_t n = dofs_.size();
+  std::fill(curvature_.begin(), curvature_.end(), 0.0);
+  for (std::size_t k = 0; k < tasks_.size(); ++k) {
+    // A level bears the curvature of those above it, too: what it moves costs them the second order.
+    double* curvature = curvature_.data() + k * n;
+    if (k > 0) std::copy_n(curvature - n, n, curvature);
+    levels_[k].curvature = k > 0 ? levels_[k - 1].curvature : nullptr;
+    if (levels_[k].curvature != nullptr) levels_[k].curvature = curvature;
+    for (const LevelTasks::Part& part : tasks_[k].parts) {
+      if (!terms[part.term]->bends()) continue;
+      terms[part.term]->add_curvature(rate, dt, least, curvature);
+      levels_[k].curvature = curvature;
+    }
+  }
 }
 
 void Levels::gather(const LevelTasks& tasks, const std::vector<std::unique_ptr<RowTerm>>& terms,

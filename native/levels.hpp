@@ -39,11 +39,14 @@ class Levels {
   Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int> dofs, int nv,
          const std::vector<std::unique_ptr<RowTerm>>& terms);
 
-  /// Gather them for ẋ of all terms, M(q) (nv, nv), λ² in the program's unit, a step of dt, and the
-  /// least dt K in X.
+  /// Find X of each level at ẋ of all terms for a step of dt, with dt K at least `least`.
+  void curve(const std::vector<std::unique_ptr<RowTerm>>& terms, const double* rate, double dt,
+             double least);
+
+  /// Gather them for ẋ of all terms, M(q) (nv, nv), and λ² in the program's unit.
   const std::vector<Level>& gather(const std::vector<std::unique_ptr<RowTerm>>& terms,
                                    const Stack& stack, const double* rate, const double* inertia,
-                                   double damping, double dt, double least_curvature);
+                                   double damping);
 
   const LevelSizes& sizes() const { return sizes_; }
 
