@@ -93,7 +93,11 @@ void Stepper::brake(double dt) {
   for (int i = 0; i < engine_.size(); ++i) {
     const int dof = engine_.dofs()[i];
     const double before = state_.v_previous[dof], most = change_[i];
-    state_.v[dof] = before - std::min(std::max(before, -most), most);
+    // What is faster than it may be sheds all that it can; about its axis a ball may shed less.
+    const double fastest =
+        std::max(limits.velocity[i], std::abs(before) - limits.acceleration[i] * dt);
+    const double braked = before - std::min(std::max(before, -most), most);
+    state_.v[dof] = std::min(std::max(braked, -fastest), fastest);
   }
   progress_.reset();
   carry_out(dt);

@@ -108,3 +108,29 @@ def test_a_brake_that_is_forced_on_says_so(
         kept = distance(end) >= min(before, D_MIN) - KEPT
         assert kept or Status.RELAXED in step.flags
         q = step.q
+
+
+BALL = """<mujoco><worldbody><body>
+  <joint name="ball" type="ball"/><geom size="0.1"/><site name="tip" pos="0.3 0 0"/>
+</body></worldbody></mujoco>"""
+
+
+def test_a_ball_that_is_too_fast_sheds_all_that_it_can(tmp_path: Path, engine: Any) -> None:
+    """A brake about the axis is inside the order of the limits: acceleration, then velocity."""
+    (tmp_path / "scene.xml").write_text(BALL)
+    problem = rmrc.compile(
+        config(
+            str(tmp_path / "scene.xml"),
+            [{"name": "tip", "type": "frame", "frame": {"site": "tip"}}],
+            dt=DT,
+            limits={"velocity": {"default": 1.0}, "acceleration": {"default": DECELERATION}},
+        )
+    )
+    controller, before = rmrc.Controller(problem, engine), np.array([1.2, 3.0, 0.1])
+    controller.reset(problem.start, before)
+    for _ in range(STEPS):
+        step = controller.step(np.full(4, np.nan))
+        assert Status.INVALID_INPUT in step.flags
+        assert (np.abs(step.v) <= np.maximum(1.0, before - DECELERATION * DT) + KEPT).all()
+        assert (np.abs(step.v - before) <= DECELERATION * DT + KEPT).all()
+        before = step.v

@@ -369,9 +369,12 @@ class Controller:
         if self._refused:
             self._refused, flags = False, flags | _INVALID_INPUT
         seconds = dt or self.problem.dt
-        dofs, v = self.problem.dofs, np.zeros(self._model.nv)
-        _, change = braking(self.problem.box, np.abs(self._v[dofs]), seconds)
-        v[dofs] = self._v[dofs] - np.clip(self._v[dofs], -change, change)
+        dofs, box, v = self.problem.dofs, self.problem.box, np.zeros(self._model.nv)
+        before = self._v[dofs]
+        _, change = braking(box, np.abs(before), seconds)
+        # What is faster than it may be sheds all that it can; about its axis a ball may shed less.
+        most = np.maximum(box.velocity, np.abs(before) - box.acceleration * seconds)
+        v[dofs] = np.clip(before - np.clip(before, -change, change), -most, most)
         solution = Solution.at_rest(self.engine.assembly.qp)
         solution.v = v[dofs]
         self._progress.reset()
