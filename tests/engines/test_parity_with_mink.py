@@ -21,6 +21,9 @@ SOLVER: dict[str, Any] = {
     "primal_tol": 1e-13,
     "dual_tol": 1e-13,
 }  # of Δq, 500 times smaller than v at this dt
+TURNED = 0.02
+"""By how much a target's quaternion is off: below 1e-3 rad mink's Jacobian of a pose loses digits,
+and is the identity below 1e-8 rad."""
 
 
 # Targets far from the start, by type of task.
@@ -174,7 +177,8 @@ def test_the_step_is_minks(case: Case, far: bool) -> None:
     rng = np.random.default_rng(1)
     for name, term in problem.term.items():
         if term.target_kind == "pose":
-            controller.set_target(name, term.target[4:] + rng.uniform(-reach, reach, 3))
+            turned = term.target[:4] + TURNED * rng.normal(size=4)
+            controller.set_target(name, term.target[4:] + rng.uniform(-reach, reach, 3), turned)
     targets = controller.engine.evaluation.target
     for name, task in theirs.items():
         aim(name, task, targets[name])
@@ -213,7 +217,8 @@ def test_a_mink_task_and_limit_added_from_python_count_as_in_mink() -> None:
         mink_limits=[limit],
     )
     controller = rmrc.Controller(made)
-    controller.set_target("hand", made.term["hand"].target[4:] + [0.1, 0.1, -0.2])
+    start = made.term["hand"].target
+    controller.set_target("hand", start[4:] + [0.1, 0.1, -0.2], start[:4] + [0, 0, TURNED, 0])
     frame = mink.FrameTask("hand", "site", 1.0, 1.0, gain=GAIN)
     aim("hand", frame, controller.engine.evaluation.target["hand"])
     configuration = mink.Configuration(made.model, made.start)
