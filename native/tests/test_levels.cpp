@@ -73,10 +73,10 @@ struct Problem {
 
   std::vector<rmrc::Level> levels(bool preserved) const {
     const int along = preserved ? directed : 0;
-    return {{tasked, first.data(), wanted.data(), nullptr, 1e-12, along, first.data(),
+    return {{tasked, first.data(), wanted.data(), nullptr, 1e-12, nullptr, along, first.data(),
              wanted.data()},
-            {n, unit.data(), aim.data(), nullptr, 1e-12, 0, nullptr, nullptr},
-            {0, nullptr, nullptr, nullptr, 1.0, 0, nullptr, nullptr}};
+            {n, unit.data(), aim.data(), nullptr, 1e-12, nullptr, 0, nullptr, nullptr},
+            {0, nullptr, nullptr, nullptr, 1.0, nullptr, 0, nullptr, nullptr}};
   }
 };
 
