@@ -167,8 +167,8 @@ class BoundEngine {
   Engine& operator*() { return *engine_; }
   const Engine& operator*() const { return *engine_; }
 
-  void add_frame(const RowsArgument& rows, const FrameArgument& frame, double far) {
-    add<BodyFrame>(rows, 6, 7, kept(frame), far);
+  void add_frame(const RowsArgument& rows, const FrameArgument& frame) {
+    add<BodyFrame>(rows, 6, 7, kept(frame));
   }
 
   void add_world_frame(const RowsArgument& rows, const FrameArgument& frame) {
@@ -452,7 +452,7 @@ void bind_engine(nb::module_& m) {
            "floor"_a, "least_curvature"_a, "brakes"_a, "limits"_a, "H"_a.noconvert(), "g"_a.noconvert(),
            "added_damping"_a.noconvert(), "inertia"_a.noconvert(), "lb"_a.noconvert(),
            "ub"_a.noconvert(), "max_iter"_a)
-      .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a, "far"_a)
+      .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a)
       .def("add_world_frame", &BoundEngine::add_world_frame, "rows"_a, "frame"_a)
       .def("add_relative", &BoundEngine::add_relative, "rows"_a, "frame"_a, "root"_a)
       .def("add_axis", &BoundEngine::add_axis, "rows"_a, "frame"_a, "axis"_a, "at_point"_a)

@@ -83,11 +83,10 @@ void measure_motion(const double* e, double* measures) {
 
 }  // namespace
 
-BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, double far,
-                     const MuJoCo& mujoco, const Stack& stack)
+BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+                     const Stack& stack)
     : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
-      frame_(std::move(frame)),
-      far_(far) {
+      frame_(std::move(frame)) {
   stand_on(frame_);
 }
 
@@ -101,12 +100,8 @@ void BodyFrame::differentiate() {
   for (int i = 0; i < 3; ++i) away[i] = position[i] - frame_.position[i];
   rotate_back(R, away, translation);
   log_motion(turned, translation, error());
-  double nearer[6], A[9], B[9], AR[9], BR[9], T[36];
-  std::copy_n(error(), 6, nearer);
-  if (const double length = norm3(nearer); length > far_) {
-    for (int i = 0; i < 3; ++i) nearer[i] *= far_ / length;
-  }
-  inverse_left_jacobian_motion(nearer, A, B);
+  double A[9], B[9], AR[9], BR[9], T[36];
+  inverse_left_jacobian_motion(error(), A, B);
   multiply_transposed3(A, R, AR);
   multiply_transposed3(B, R, BR);
   set_blocks(T, AR, BR, AR);

@@ -174,18 +174,15 @@ class RowTerm {
 };
 
 /// e = log(T_bt) and J = Jl⁻¹(e) J_b: a `frame` task along the body's axes.
-///
-/// J of an error longer than `far` is that of one as long.
 class BodyFrame final : public RowTerm {
  public:
-  BodyFrame(TermData data, std::vector<double> root, Frame frame, double far, const MuJoCo& mujoco,
+  BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
             const Stack& stack);
   void measure(double* measures) const override;
 
  private:
   void differentiate() override;
   Frame frame_;
-  double far_;
 };
 
 /// e = [p_t − p_b; log(R_t R_bᵀ)]: a `frame` task along the world's axes.

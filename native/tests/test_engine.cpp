@@ -178,7 +178,7 @@ struct Fixture {
     std::vector<double> full(36, 0.2 * others_);
     for (int i = 0; i < 6; ++i) full[7 * i] = i < 3 ? 1.0 : 2.0 * others_;
     engine->add(
-        std::make_unique<rmrc::BodyFrame>(clamped, full, end, 1.0, mujoco, stack));
+        std::make_unique<rmrc::BodyFrame>(clamped, full, end, mujoco, stack));
     engine->add(std::make_unique<rmrc::WorldFrame>(next(pose), ones(6), end, mujoco, stack));
     engine->add(
         std::make_unique<rmrc::RelativeFrame>(next(offset), ones(6), end, base, mujoco, stack));

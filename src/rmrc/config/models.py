@@ -69,7 +69,7 @@ class DampingModel(Model):
 
     lambda_: Annotated[NonNegative, Field(alias="lambda")] = 0.01
     """λ, in the units of √B·m/rad; with `adapt` the least that it can be."""
-    curvature: Switch = False
+    curvature: Switch = True
     """Whether the curvature of the tasks is in the program, so that the robot rests where it cannot
     go, and brakes in time for where it can."""
     adapt: Literal["off", "sigma_min", "manipulability", "error"] = "off"

@@ -240,7 +240,7 @@ class NativeEngine(PythonEngine):
                 if term.axes == "world":
                     native.add_world_frame(rows, self._frame(term.frame))
                 else:
-                    native.add_frame(rows, self._frame(term.frame), term.clamp[0])
+                    native.add_frame(rows, self._frame(term.frame))
             case RelativeFrameTerm():
                 native.add_relative(rows, self._frame(term.frame), self._frame(term.root))
             case LookAtTerm():

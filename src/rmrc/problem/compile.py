@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import replace
 from typing import TypeVar
 
 import mink
@@ -17,21 +16,17 @@ from rmrc.config.models import Config
 from rmrc.errors import ModelError, SolverError
 from rmrc.problem.configuration import (
     dof_of_joint,
-    free_dofs,
     normalized,
     resolve_configuration,
     turning_dofs,
 )
-from rmrc.problem.limits.box import Box
 from rmrc.problem.limits.extents import resolution, size
 from rmrc.problem.limits.joints import compile_box, select
 from rmrc.problem.limits.rows import compile_barriers, compile_speeds
-from rmrc.problem.limits.workspace import levers
 from rmrc.problem.objects import Objects, bodies_of_joints, claimed_by_mink, find_objects
 from rmrc.problem.problem import Problem
 from rmrc.problem.scene import load_model, place_mocap_bodies, start_keyframe
 from rmrc.problem.tasks.base import FieldError, Term, weight_array
-from rmrc.problem.tasks.frame import FrameTerm
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
 from rmrc.problem.tasks.loop import LoopTerm, equality_name
@@ -45,8 +40,6 @@ MOST_STEPS = 10_000_000
 LONGEST_STEP = 10.0
 """Most that a joint moves in a step beside distances that are kept, rad or m, and in lengths of a
 robot that is longer than 1 m: what a longer one could come to is not looked at."""
-SLIDE_TRAVEL = 10.0
-"""Travel in m from its zero that a slide without a range counts with in the length of a robot."""
 
 
 def compile(
@@ -101,8 +94,6 @@ class _Compiler:
             if isinstance(term, FreezeTerm):
                 box.velocity[term.dofs] = 0.0
         moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
-        if not config.damping.curvature:
-            terms = tuple(_clamped(term, model, box) for term in terms)
         barriers = compile_barriers(objects, config.limits, start, moving, mistakes, notices)
         if barriers:
             box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
@@ -216,30 +207,6 @@ class _Compiler:
                 )
             )
         return tuple(term for term in made if term is not None)
-
-
-def _clamped(term: Term, model: mujoco.MjModel, box: Box) -> Term:
-    """Return a `frame` term that acts on no longer an error than its robot is long.
-
-    Around a stretched arm of length L, a target at the distance D is missed sideways by D δ for an
-    angle δ, so that its gain is K D/L: far targets would have the arm swing. Two points that the
-    frame can reach are at most 2 L apart, which leaves all of these alone, and a robot that can go
-    anywhere reaches them all; but acceleration limits do not let it follow more than K, and with
-    them the error ends at L.
-    """
-    if not isinstance(term, FrameTerm) or term.clamp[0] < math.inf:
-        return term
-    lever = levers(model, term.frame, SLIDE_TRAVEL)[: model.nv]
-    turning = lever * turning_dofs(model)
-    longest = float(turning.max(initial=0.0))
-    if longest == 0.0:
-        return term
-    moving = lever > 0.0
-    if np.isfinite(box.acceleration[moving]).any():
-        return replace(term, clamp=(longest, term.clamp[1]))
-    if moving[free_dofs(model)].any():
-        return term
-    return replace(term, clamp=(2.0 * longest, term.clamp[1]))
 
 
 def _damping_notices(config: Config, metric: bool) -> list[str]:

@@ -61,11 +61,10 @@ def levers(model: mujoco.MjModel, geoms: NDArray[np.intp]) -> Array:
     return np.where((sides > 0.0).all(axis=0), 0.0, sides)
 
 
-def body_levers(model: mujoco.MjModel, body: int, reach: float, unlimited: float = 0.0) -> Array:
+def body_levers(model: mujoco.MjModel, body: int, reach: float) -> Array:
     """Return the levers (nv + 6 nmocap,) of a body's points, walking from it to the world.
 
-    They are no further than `reach` in m from the body's origin. `unlimited` is the travel in m
-    from its zero that a slide without a range counts with.
+    They are no further than `reach` in m from the body's origin.
     """
     row = np.zeros(model.nv + 6 * model.nmocap)
     while body:
@@ -75,7 +74,7 @@ def body_levers(model: mujoco.MjModel, body: int, reach: float, unlimited: float
             offset = float(np.linalg.norm(model.jnt_pos[joint]))
             if kind == _SLIDE:
                 row[dof] = 1.0
-                reach += counted_travel(model, joint) if model.jnt_limited[joint] else unlimited
+                reach += counted_travel(model, joint)
             elif kind == _FREE:
                 row[dof : dof + 3], row[dof + 3 : dof + 6] = 1.0, reach
             else:

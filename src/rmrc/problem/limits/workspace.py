@@ -145,9 +145,9 @@ class Workspace(Barrier):
         return drift
 
 
-def levers(model: mujoco.MjModel, frame: FrameHandle, unlimited: float = 0.0) -> Array:
+def levers(model: mujoco.MjModel, frame: FrameHandle) -> Array:
     """Return how fast each dof can move a frame's origin (nv + 6 nmocap,), as `body_levers`."""
-    return body_levers(model, *_body(model, frame), unlimited)
+    return body_levers(model, *_body(model, frame))
 
 
 def _body(model: mujoco.MjModel, frame: FrameHandle) -> tuple[int, float]:

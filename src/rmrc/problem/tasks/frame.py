@@ -1,6 +1,5 @@
 """The `frame` task: the pose of a site, body or geom follows a target pose."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -196,7 +195,7 @@ class FrameTerm(PoseTerm):
             error, angular = np.zeros(6), np.zeros((3, 3))
             _world_error(target, pose, error, angular)
             return Pull(*velocities, pulled[:3], angular.T @ pulled[3:])
-        error = _nearer(log_motion(inverse_multiply(pose, target)), self.clamp[0])
+        error = log_motion(inverse_multiply(pose, target))
         wrench = inverse_left_jacobian(error).T @ pulled
         rotation = matrix.reshape(3, 3)
         return Pull(*velocities, rotation @ wrench[:3], rotation @ wrench[3:])
@@ -243,7 +242,7 @@ class _FrameEvaluator:
                 self._in_world.append((*shared, self._transform[k, 3:, 3:]))
             else:
                 halves = self._transform[k].reshape(12, 3)
-                self._body.append((*shared, matrix.reshape(3, 3).T, halves, term.clamp[0]))
+                self._body.append((*shared, matrix.reshape(3, 3).T, halves))
         self._feeds = [
             (
                 k,
@@ -260,12 +259,12 @@ class _FrameEvaluator:
 
     def __call__(self) -> None:
         model, data = self._model, self._data
-        for jac, i, jp, jr, matrix, position, target, error, turned, halves, far in self._body:
+        for jac, i, jp, jr, matrix, position, target, error, turned, halves in self._body:
             jac(model, data, jp, jr, i)
             pose = pose_of(matrix, position)
             error[:] = log_motion(inverse_multiply(pose, target))
             # Jl⁻¹ diag(Rᵀ, Rᵀ): each half of a row of Jl⁻¹ is turned by Rᵀ.
-            inverse_left_jacobian(_nearer(error, far)).reshape(12, 3).dot(turned, halves)
+            inverse_left_jacobian(error).reshape(12, 3).dot(turned, halves)
         for jac, i, jp, jr, matrix, position, target, error, angular in self._in_world:
             jac(model, data, jp, jr, i)
             _world_error(target, pose_of(matrix, position), error, angular)
@@ -294,20 +293,6 @@ class _FrameEvaluator:
                 self._feedforward[k] = self._transform[k] @ rigid
             if carrier is not None:
                 self._feedforward[k] -= self._transform[k] @ carrier.velocity(position)
-
-
-def _nearer(error: Array, far: float) -> Array:
-    """Return a logarithm (6,) whose first half is no longer than `far`.
-
-    The Jacobian of the logarithm grows with the distance: that of a target which the error is
-    clamped to is the one to take.
-    """
-    length = math.sqrt(float(error[:3] @ error[:3]))
-    if length <= far:
-        return error
-    nearer = error.copy()
-    nearer[:3] *= far / length
-    return nearer
 
 
 def _world_error(target: Array, pose: Array, error: Array, angular: Array) -> None:
