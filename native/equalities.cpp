@@ -45,10 +45,12 @@ Equalities::Equalities(const Stack& stack, const double* rate, int nv, std::vect
       reduction_(capacity_, static_cast<int>(dofs_.size()), 1),
       wanted_(longest_of(terms_)) {}
 
-void Equalities::update() {
+void Equalities::update(bool without_bending) {
   const int n = static_cast<int>(dofs_.size());
   int rows = 0;
-  for (const HardTerm& term : terms_) rows = stack_up(term, rows);
+  for (const HardTerm& term : terms_) {
+    if (!(without_bending && term.bends)) rows = stack_up(term, rows);
+  }
   count_ = reduction_.reduce(rows, n, rank_share);
   for (int r = 0; r < count_; ++r) {
     const double* row = reduction_.row(r);
@@ -59,6 +61,16 @@ void Equalities::update() {
   double missed = 0.0;
   for (int r = count_; r < rows; ++r) missed += reduction_.row(r)[n] * reduction_.row(r)[n];
   inconsistent_ = std::sqrt(missed) > disagreement;
+}
+
+// The rows of E are orthogonal.
+void Equalities::least_norm(double* v) const {
+  const int n = static_cast<int>(dofs_.size());
+  std::fill_n(v, n, 0.0);
+  for (int r = 0; r < count_; ++r) {
+    const double* row = arrays_.matrix + r * n;
+    add_scaled(arrays_.right[r] / dot(row, row, n), row, v, n);
+  }
 }
 
 // Write the rows of a task and what it asks for, and return where the next one's begin.

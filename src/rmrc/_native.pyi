@@ -48,7 +48,7 @@ class TermRows:
         moving: NDArray[np.uint8],
         clamps: list[tuple[int, int, float]] = ...,
         way: list[tuple[int, int, bool, float]] = ...,
-        look: list[float] = ...,
+        exact_root: list[float] = ...,
     ) -> None: ...
 
 class Frame:
@@ -90,6 +90,7 @@ class Engine:
         floor: float,
         least_curvature: float,
         brakes: bool,
+        soft_ratio: float,
         limits: tuple[
             list[int],
             list[float],

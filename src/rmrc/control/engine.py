@@ -158,25 +158,16 @@ class PythonEngine:
         self.scaled = False
         if self.evaluation.refused:
             return self._held_back(dt)
-        solution = self._best()
+        solution, assembly = self._best(), self._assembly
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
-        self._keep_still(solution, dt)
+        if assembly.softened:
+            self.relaxed |= assembly.misses(solution.v) > INCONSISTENT
         if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
             self.share = 1.0
         return solution
-
-    def _keep_still(self, solution: Solution, dt: float) -> None:
-        """Scale v where the tasks that no cost draws would pass what they are drawn to.
-
-        It is for targets at rest, and where v = 0 is inside the limits.
-        """
-        assembly, qp = self._assembly, self._assembly.qp
-        at_rest = assembly.still and (qp.lb <= 0.0).all() and (qp.ub >= 0.0).all()
-        if assembly.curvature.looked and at_rest:
-            solution.v = assembly.curvature.scale(solution.v, assembly.unfed, dt) * solution.v
 
     def _held_back(self, dt: float) -> Solution:
         """Return the brake, for a step of which a part cannot be used; it keeps distances."""
@@ -190,7 +181,7 @@ class PythonEngine:
         Return whether a joint is outside its range, or a distance below its limit.
         """
         assembly = self._assembly
-        self._dt = dt
+        self._dt = assembly.dt = dt
         self.evaluation.v_previous[:] = v_previous
         outside = self._assemble(q, dt)
         if self._box_alone:
@@ -268,7 +259,14 @@ class PythonEngine:
         if self._cascade is None:
             return self._attempt(self._solver)
         self._cascade.deadline = self.deadline
-        solution = self._cascade.solve(self._assembly.levels(), self._assembly.qp)
+        assembly, cascade = self._assembly, self._cascade
+        levels = assembly.levels()
+        solution = cascade.solve(levels, assembly.qp)
+        if assembly.turns_back(cascade.optima):
+            levels = assembly.levels(directed=False)
+            solution = cascade.solve(levels, assembly.qp)
+        if assembly.still and self.problem.curvature:
+            solution.v = assembly.spare(levels, cascade.optima)
         self.scaled = self._cascade.scale < 1.0 - WHOLE
         return solution
 
@@ -423,7 +421,6 @@ class PythonEngine:
         corrected = self._best()
         if not self._trusted(corrected):
             return solution
-        self._keep_still(corrected, dt)
         share, passed = self.share, self.relaxed
         self.relaxed = relaxed
         self.keep_distances(corrected, dt)

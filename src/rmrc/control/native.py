@@ -145,9 +145,9 @@ class NativeEngine(PythonEngine):
         curvature = self._assembly.curvature
         self._ways = {
             term.name: curvature.joints(way)
-            for term, _, way in (*curvature.terms, *curvature.looked)
+            for term, way in curvature.ways.items()
         }
-        self._looks = {term.name: square_root(mask) for term, mask, _ in curvature.looked}
+        self._exact = {t.name: square_root(mask) for t, (mask, _) in curvature.exact.items()}
         rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
         watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
         self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
@@ -193,6 +193,7 @@ class NativeEngine(PythonEngine):
             floor=problem.damping**2,
             least_curvature=assembly.curvature.least,
             brakes=problem.curvature,
+            soft_ratio=problem.soft_ratio,
             limits=(
                 box.coordinate.tolist(),
                 box.lower.tolist(),
@@ -276,7 +277,7 @@ class NativeEngine(PythonEngine):
                 for first, last, _ in (part.indices(term.rows),)
             ],
             way=self._ways.get(term.name, []),
-            look=self._looks[term.name].ravel().tolist() if term.name in self._looks else [],
+            exact_root=self._exact[term.name].ravel().tolist() if term.name in self._exact else [],
         )
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:

@@ -18,6 +18,7 @@ from rmrc.qp.damping import Damping, largest_square
 from rmrc.qp.equalities import Equalities
 from rmrc.qp.foreign import checked
 from rmrc.qp.program import QP
+from rmrc.qp.relax import INCONSISTENT
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,10 @@ def square_root(weight: Array) -> Array:
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
+SPARED = 0.005
+"""Share of what a level gains that lower ones may cost it where it cannot have more."""
+AT_BOUND = 1e-7
+"""A rate this close to its bound is at it, rad/s or m/s."""
 LEAST_DAMPING = 1e-12
 """λ² at a level, where the configuration has less: it keeps a level's program definite."""
 
@@ -58,10 +63,8 @@ class Assembly:
         self._capped = self._gain.copy()
         self.rate = np.empty_like(self._gain)
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
-        self.unfed = np.empty_like(self._gain)
-        """K clamp(e) of all terms, ẋ without its feed-forward."""
-        self.still = True
-        """Whether no target that a task has a gain for moves."""
+        self.dt = problem.dt
+        """Length of the present step, s."""
         self._row_rate = self.rate[:rows]
         # What mocap bodies carry may move whenever they do.
         self._fed = bool(problem.model.nmocap) or any(
@@ -100,8 +103,13 @@ class Assembly:
             for level in sorted({term.level for term in soft})
         ]
         """The terms of each level, the highest first."""
-        hard = len(soft) < len(evaluation.terms)
-        self._equalities = Equalities(problem, evaluation) if hard else None
+        hard = [term for term in evaluation.terms if term.hard]
+        firm = [term for term in hard if term not in self.curvature.exact]
+        self._equalities = Equalities(problem, evaluation, hard) if hard else None
+        self._firm = Equalities(problem, evaluation, firm) if firm else None
+        self._bending = [term for term in hard if term in self.curvature.exact]
+        self.softened = False
+        """Whether hard tasks that bend are a cost at this step: they have no place to go on to."""
         self.inertia = np.empty((problem.model.nv, problem.model.nv))
         """M(q) (nv, nv) at the last assembly, where A has a share of it."""
         self._gradient = np.empty(problem.model.nv)
@@ -172,6 +180,11 @@ class Assembly:
             full += matrix
         return np.ascontiguousarray(full[np.ix_(self._dofs, self._dofs)])
 
+    @property
+    def still(self) -> bool:
+        """Whether no target that a task has a gain for moves."""
+        return not self._evaluation.feedforward[self._gain > 0.0].any()
+
     def assemble(self, q: Array, dt: float) -> bool:
         """Write the program at q (nq,) for a step of dt; return whether a joint is outside."""
         self._assemble_objective(dt)
@@ -199,8 +212,7 @@ class Assembly:
             if length > longest:
                 rate *= longest / length
         self.curvature.update(self.rate, dt)
-        self.unfed[:] = unfed = self.rate.copy()
-        self.still = not evaluation.feedforward[self._gain > 0.0].any()
+        unfed = self.rate.copy()
         if self._fed or 1 in evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
         weighted, unwanted = self._weigh(), self._weigh_rate()
@@ -304,10 +316,13 @@ class Assembly:
             metric = metric + self._problem.inertia * self.inertia[chosen]
         return metric
 
-    def levels(self) -> list[Level]:
+    def levels(self, directed: bool = True) -> list[Level]:
         """Return what each level asks for at the present assembly, the highest first.
 
-        Last comes what picks among equal motions: A, or the least norm.
+        What preserves its direction is a cost like any other where it is not to be `directed`.
+
+        Before them come hard tasks that are a cost at this step. Last comes what picks among equal
+        motions: A, or the least norm.
         """
         n = self._dofs.size
         damping = max(self.unit * self.adaptive.square, LEAST_DAMPING) * np.eye(n)
@@ -315,19 +330,23 @@ class Assembly:
         metric = metric + damping if metric.any() else np.eye(n)
         weighted, wanted = self._weigh(), -self._weigh_rate()
         return [
-            *(self._level(level, weighted, wanted, damping) for level in self.leveled_terms),
+            *([self._softened_level(damping)] if self.softened else []),
+            *(
+                self._level(level, weighted, wanted, damping, directed)
+                for level in self.leveled_terms
+            ),
             Level(np.zeros((0, n)), np.zeros(0), metric),
         ]
 
-    def _level(self, terms: list[Term], weighted: Array, wanted: Array, damping: Array) -> Level:
+    def _level(
+        self, terms: list[Term], weighted: Array, wanted: Array, damping: Array, directed: bool
+    ) -> Level:
         """Return what terms ask for, out of W and S ẋ of all of them."""
         rows, rates, directions = [], [], []
         for term in terms:
             part = self._evaluation.rows_of([term])
             if term.joint:
-                root = square_root(self.leveled(term))
-                root = np.diag(root) if root.ndim == 1 else root
-                root = root[np.any(root != 0.0, axis=1)]
+                root = self._root(term)
                 rows.append(root[:, self._dofs])
                 rates.append(root @ self.rate[part])
                 continue
@@ -337,20 +356,110 @@ class Assembly:
                 weighed = term.diagonal > 0.0
                 jacobian = self._evaluation.jacobian[part][weighed]
                 directions.append((jacobian[:, self._dofs], self.rate[part][weighed]))
-        direction = None
-        if directions:
-            jacobians, asked = zip(*directions, strict=True)
-            direction = (np.vstack(jacobians), np.concatenate(asked))
         for level, curvature in self.curvature.levels.items():
             if level <= terms[0].level:
                 damping = damping + np.diag(curvature)
+        direction = None
+        if directions and directed:
+            jacobians, asked = zip(*directions, strict=True)
+            direction = (np.vstack(jacobians), np.concatenate(asked))
+        elif directions:
+            preserved = [term for term in terms if term in self.curvature.exact]
+            damping = damping + np.diag(self.curvature.bound(preserved, self.rate, self.dt))
         return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
     def equalities(self) -> Equalities | None:
-        """Return what the hard tasks ask for at the present assembly; None without any."""
-        if self._equalities is not None:
-            self._equalities.update(self.rate)
-        return self._equalities
+        """Return what the hard tasks ask for at the present assembly; None without any.
+
+        Near a singularity those that bend are a cost instead, above all others and with their X.
+        """
+        self.softened = False
+        held = self._equalities
+        if held is None:
+            return None
+        held.update(self.rate)
+        if not (self._bending and self.still and self._cannot_hold(held)):
+            return held
+        self.softened = True
+        if not self._problem.cascaded:
+            level, share = self._softened_level(np.zeros_like(self.qp.H)), self._problem.soft_ratio
+            self.qp.H += (level.rows.T @ level.rows + level.metric) / share
+            self.qp.g -= level.rate @ level.rows / share
+        if self._firm is not None:
+            self._firm.update(self.rate)
+        return self._firm
+
+    def _cannot_hold(self, held: Equalities) -> bool:
+        """Return whether E v = f has no v inside the velocity limits, or one at which V rises."""
+        v, limit = held.least_norm, self._problem.box.velocity
+        if held.inconsistency > INCONSISTENT or (np.abs(v) > limit).any():
+            return True
+        return self.curvature.passes(self._bending, v, self.rate, self.dt)
+
+    def turns_back(self, optima: list[Array]) -> bool:
+        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level."""
+        if not self.still:
+            return False
+        first = 1 if self.softened else 0
+        for terms, v in zip(self.leveled_terms, optima[first:], strict=False):
+            preserved = [t for t in terms if t.preserve and t in self.curvature.exact]
+            if preserved and self.curvature.passes(preserved, v, self.rate, self.dt):
+                return True
+        return False
+
+    def _softened_level(self, damping: Array) -> Level:
+        """Return the hard tasks that bend as a level."""
+        evaluation, dofs, rows, rates = self._evaluation, self._dofs, [], []
+        for term in self._bending:
+            part, root = evaluation.rows_of([term]), self._root(term)
+            rows.append(root @ evaluation.jacobian[part][:, dofs])
+            rates.append(root @ self.rate[part])
+        bound = self.curvature.bound(self._bending, self.rate, self.dt)
+        return Level(np.vstack(rows), np.concatenate(rates), damping + np.diag(bound))
+
+    def spare(self, levels: list[Level], optima: list[Array]) -> Array:
+        """Return v (n,) with less of what lower levels cost those above where those are singular.
+
+        With v_k the optimum of level k, what lower ones do in its null space, u = v − v_k, costs it
+        ½ dt uᵀCu, with C of what it cannot get, m = dt² (W Wᵀ + dt²)⁻¹ (S ẋ − W v_k) for the joints
+        that are not at their bounds. u is cut to where dt uᵀCu ≤ 0.005 (S ẋ)ᵀ W (v_k − v_k−1).
+
+        Args:
+            levels: What they ask for, the highest first.
+            optima: v_k (n,) of each level that was solved.
+        """
+        parts = [*([self._bending] if self.softened else []), *self.leveled_terms]
+        v, dt = optima[-1], self.dt
+        befores = [np.zeros(self._dofs.size), *optima]
+        steps = list(zip(parts, levels, optima[:-1], befores, strict=False))
+        for terms, level, at, before in reversed(steps):
+            free = (at > self.qp.lb + AT_BOUND) & (at < self.qp.ub - AT_BOUND)
+            columns, missed = level.rows[:, free], level.rate - level.rows @ at
+            damped = columns @ columns.T + dt**2 * np.eye(missed.size)
+            missed = dt**2 * np.linalg.solve(damped, missed)
+            gained, cost, first = float(level.rate @ (level.rows @ (at - before))), 0.0, 0
+            for term in terms:
+                root = self._root(term)
+                rows = slice(first, first + len(root))
+                if term in self.curvature.ways:
+                    cost += dt * self.curvature.bent(term, root.T @ missed[rows], v - at)
+                first = rows.stop
+            spared = max(0.0, SPARED * gained)
+            if cost > spared:
+                v = at + math.sqrt(spared / cost) * (v - at)
+        return v
+
+    def _root(self, term: Term) -> Array:
+        """Return S (r, rows) of a term as the levels have it, B = SᵀS."""
+        softened = term.hard and term in self.curvature.exact
+        root = square_root(self.curvature.exact[term][0] if softened else self.leveled(term))
+        root = np.diag(root) if root.ndim == 1 else root
+        return root[np.any(root != 0.0, axis=1)] if term.joint else root
+
+    def misses(self, v: Array) -> float:
+        """Return by how much v (n,) misses what is asked of the hard tasks that are a cost."""
+        level = self._softened_level(np.zeros_like(self.qp.H))
+        return float(np.linalg.norm(level.rows @ v - level.rate))
 
     @property
     def damping(self) -> float:
