@@ -11,6 +11,7 @@ namespace rmrc {
 namespace {
 
 constexpr double longest = 3.0;    // rmrc.qp.curvature.LONGEST
+constexpr double longest_along = 20.0;  // rmrc.qp.assemble.ALONG
 constexpr double spared = 0.005;   // rmrc.qp.assemble.SPARED
 constexpr double at_bound = 1e-7;  // rmrc.qp.assemble.AT_BOUND
 
@@ -92,12 +93,12 @@ bool Engine::cannot_hold() {
   for (int i = 0; i < size(); ++i) {
     if (std::abs(exact_[i]) > box_.limits().velocity[i]) return true;
   }
-  return passes(exact_.data(), [](const RowTerm& term) { return term.is_hard(); });
+  return passes(exact_.data(), longest, [](const RowTerm& term) { return term.is_hard(); });
 }
 
 // Whether V may rise where some terms that no cost draws get v: rmrc.qp.curvature.Curvature.passes.
 template <class Which>
-bool Engine::passes(const double* v, Which which) {
+bool Engine::passes(const double* v, double times, Which which) {
   std::fill(curvature_.begin(), curvature_.end(), 0.0);
   double drawn = 0.0, curved = 0.0;
   for (const auto& term : rows_) {
@@ -105,7 +106,7 @@ bool Engine::passes(const double* v, Which which) {
     drawn += term->drawn(program_.rate, v, dt_, curved);
     term->add_curvature(program_.rate, dt_, constants_.least_curvature, curvature_.data());
   }
-  for (int i = 0; i < size(); ++i) curved += longest * curvature_[i] * v[i] * v[i];
+  for (int i = 0; i < size(); ++i) curved += times * curvature_[i] * v[i] * v[i];
   return curved > 2.0 * drawn;
 }
 
@@ -125,7 +126,7 @@ bool Engine::turns_back() {
     const bool any = std::any_of(rows_.begin(), rows_.end(), [&](const auto& term) {
       return term->exact() && directed(*term);
     });
-    if (any && passes(v, directed)) return true;
+    if (any && passes(v, longest_along, directed)) return true;
   }
   return false;
 }

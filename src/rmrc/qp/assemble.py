@@ -33,6 +33,8 @@ def square_root(weight: Array) -> Array:
 
 SPARED = 0.005
 """Share of what a level gains that lower ones may cost it where it cannot have more."""
+ALONG = 20.0
+"""Times X that a motion along ẋ is held to: all joints are at their limits, to be the fastest."""
 AT_BOUND = 1e-7
 """A rate this close to its bound is at it, rad/s or m/s."""
 LEAST_DAMPING = 1e-12
@@ -403,7 +405,7 @@ class Assembly:
         first = 1 if self.softened else 0
         for terms, v in zip(self.leveled_terms, optima[first:], strict=False):
             preserved = [t for t in terms if t.preserve and t in self.curvature.exact]
-            if preserved and self.curvature.passes(preserved, v, self.rate, self.dt):
+            if preserved and self.curvature.passes(preserved, v, self.rate, self.dt, ALONG):
                 return True
         return False
 
