@@ -38,6 +38,7 @@ Method = Literal[
     "nullspace",
     "saturated",
     "descent",
+    "mink",
 ]
 
 
@@ -148,7 +149,8 @@ class Config(Model):
     duration: Positive = 5.0
     """Length of the run, s."""
     method: Method = "qp"
-    """How a step is solved: `qp`, or one of the closed forms that it generalises."""
+    """How a step is solved: `qp`, one of the closed forms that it generalises, or `mink`, by mink's
+    own `solve_ik`."""
     follow: Literal["rate", "waypoints", "joint"] = "rate"
     """How a path is followed: `rate` resolves rates, `waypoints` solves every pose on the way to
     convergence, `joint` solves both ends and interpolates the joints."""

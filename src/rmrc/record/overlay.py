@@ -109,7 +109,7 @@ def _excess(limit: dict[str, Any], with_unit: bool) -> Cell:
 
 
 def _left_out(run: dict[str, Any]) -> Cell:
-    limits = [] if run["keeps_limits"] else ["limits"]
+    limits = run["ignored_limits"] if run["keeps_limits"] else ["limits"]
     return Cell(", ".join([*limits, *run["ignored_tasks"]]) or "–")
 
 
