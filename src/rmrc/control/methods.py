@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rmrc import reference
 from rmrc.config.mistakes import Mistake, config_error
-from rmrc.config.models import Config, SolverModel
+from rmrc.config.models import Config, DampingModel, SolverModel
 from rmrc.control.mink_ik import MinkIK, Unsolved, ignored_tasks, unread
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.ball import BallRanges
@@ -122,6 +122,8 @@ ALL_LEVELS = frozenset({"nullspace", "mink"})
 """The methods that have tasks below the highest level, and tasks on the joints."""
 BENT = frozenset({"qp", "dls"})
 """The methods that have the curvature of the tasks."""
+DAMPED = BENT | {"nullspace", "mink"}
+"""The methods that have λ."""
 WITH_SOLVER = frozenset({"qp", "mink"})
 """The methods that have a QP solver."""
 
@@ -129,7 +131,9 @@ WITH_SOLVER = frozenset({"qp", "mink"})
 def as_read(config: Config) -> Config:
     """Return a configuration without what its method does not read of damping and solver."""
     method, update = config.method, {}
-    if method not in BENT:
+    if method not in DAMPED:
+        update["damping"] = DampingModel()
+    elif method not in BENT:
         update["damping"] = config.damping.model_copy(update={"curvature": True})
     if method not in WITH_SOLVER:
         update["solver"] = SolverModel()
