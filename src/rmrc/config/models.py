@@ -3,7 +3,14 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    WithJsonSchema,
+    model_validator,
+)
 
 from rmrc.config.base import (
     JointName,
@@ -59,7 +66,12 @@ def _switched(value: object) -> object:
     return {"on": True, "off": False}.get(value, value) if isinstance(value, str) else value
 
 
-Switch = Annotated[bool, Field(strict=True), BeforeValidator(_switched)]
+Switch = Annotated[
+    bool,
+    Field(strict=True),
+    BeforeValidator(_switched),
+    WithJsonSchema({"enum": [True, False, "on", "off"]}),
+]
 """true or on, false or off."""
 
 
