@@ -45,6 +45,7 @@ bench: $(VENV)/test.stamp
 	$(ONE) $(BIN)/python bench/jitter.py --json bench/results.json
 	$(ONE) $(BIN)/python bench/slowest.py --json bench/results.json
 	$(ONE) $(BIN)/python bench/scaling.py --json bench/results.json --plot docs/scaling.svg
+	$(BIN)/python bench/still.py docs/unreachable.svg
 	$(BIN)/python bench/table.py
 
 instructions: $(VENV)/test.stamp

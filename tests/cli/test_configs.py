@@ -1,4 +1,4 @@
-"""Every shipped configuration runs, converges, keeps its limits, and leaves a run folder."""
+"""Every shipped configuration runs, converges if it can, keeps its limits, and leaves a folder."""
 
 import json
 from pathlib import Path
@@ -31,6 +31,7 @@ SHIPPED = {
     "compare_redundant",
     "compare_limits",
     "compare_line",
+    "unreachable",
 }
 # Their targets leave what the robot can reach, for a while.
 BY_DESIGN = {
@@ -38,7 +39,10 @@ BY_DESIGN = {
     "compare_singular": {"STUCK"},
     "dual_arm_collision": {"STUCK"},
     "panda_obstacle": {"STUCK"},
+    "unreachable": {"STUCK"},
 }
+# Their targets stay out of reach: the run ends at rest, and not converged.
+NEVER_THERE = {"unreachable"}
 
 
 def test_every_promised_config_is_there() -> None:
@@ -55,10 +59,11 @@ def config_path(request: pytest.FixtureRequest) -> Path:
 def test_it_solves_on_the_command_line(config_path: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     done = command("solve", config_path, "--out", out, "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    there = config_path.stem not in NEVER_THERE
+    assert done.returncode == (0 if there else 1), done.stdout + done.stderr
     assert done.stderr == ""
     summary = json.loads(done.stdout)
-    assert summary["converged"]
+    assert summary["converged"] == there
     assert all(limit["max_violation"] == 0 for limit in summary["limits"].values())
     assert {path.name for path in out.iterdir()} == {"run.json", "trajectory.npz", "report.html"}
     run = rmrc.Run.load(out)

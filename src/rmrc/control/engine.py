@@ -65,6 +65,8 @@ class PythonEngine:
     """
 
     name = "python"
+    fault: str | None = None
+    """What ends a run: nothing does."""
 
     def __init__(self, problem: Problem):
         self.problem = problem

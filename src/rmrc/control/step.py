@@ -15,7 +15,7 @@ from rmrc.qp.rows import KeptRows
 if TYPE_CHECKING:
     from rmrc.control.engine import PythonEngine
     from rmrc.control.explain import Explanation
-    from rmrc.control.methods import ClosedFormEngine
+    from rmrc.control.methods import MethodEngine
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class Moment:
 
     def __init__(
         self,
-        engine: "PythonEngine | ClosedFormEngine",
+        engine: "PythonEngine | MethodEngine",
         q: Array,
         v_previous: Array,
         a_previous: Array,
