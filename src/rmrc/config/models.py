@@ -58,7 +58,11 @@ def _switched(value: object) -> object:
     return {"on": True, "off": False}.get(value, value) if isinstance(value, str) else value
 
 
-Switch = Annotated[bool, Field(strict=True), BeforeValidator(_switched)]
+Switch = Annotated[
+    bool,
+    Field(strict=True),
+    BeforeValidator(_switched, json_schema_input_type=bool | Literal["on", "off"]),
+]
 """true or on, false or off."""
 
 
