@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from statistics import median
-from time import perf_counter
+from time import thread_time
 from typing import Any
 
 import numpy as np
@@ -220,12 +220,12 @@ def test_a_deadline_is_kept_by_braking(robot: str, backend: str, kind: str) -> N
     engine, prepared, took = checked.controller.engine, [], []
     for count in range(1, 41):
         before = checked.v
-        begun = perf_counter()
+        begun = thread_time()
         engine.prepare(checked.q, checked.v, DT)
-        prepared.append(perf_counter() - begun)
-        begun = perf_counter()
+        prepared.append(thread_time() - begun)
+        begun = thread_time()
         step = checked.controller.step()
-        took.append(perf_counter() - begun)
+        took.append(thread_time() - begun)
         checked._check(step, checked.q, DT)
         checked.q, checked.v = step.q.copy(), step.v.copy()
         assert step.status is Status.DEADLINE
