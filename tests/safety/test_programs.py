@@ -50,10 +50,10 @@ def compiled(robot: str, kind: str) -> rmrc.Problem:
     return problem(robot, "daqp", *tasks, **options)
 
 
-def hand_alone(robot: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def hand_alone(robot: str, curvature: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The hand's position is all that is asked for, and nothing picks among the motions."""
     hand = ROBOTS[robot].tasks(B=[1.0, 1.0, 1.0, 0.0, 0.0, 0.0])[0]
-    return [hand], {"damping": {"lambda": 0.0}}
+    return [hand], {"damping": {"lambda": 0.0, "curvature": curvature}}
 
 
 def hard_hand(robot: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -83,7 +83,8 @@ def pairs(robot: str, count: int) -> tuple[list[dict[str, Any]], dict[str, Any]]
 
 VARIANTS = {
     "plain": lambda robot: ([], {}),
-    "hand alone": hand_alone,
+    "hand alone": lambda robot: hand_alone(robot, "off"),
+    "hand alone, with its curvature": lambda robot: hand_alone(robot, "on"),
     "hard": hard_hand,
     "hard twice": hard_hand_twice,
     "plane": lambda robot: planes(robot, 1),
@@ -131,6 +132,13 @@ def test_a_rank_deficient_hessian(robot: str, backend: str) -> None:
             account = step.explain()
             [hand] = [task for task in account.tasks if task.name == "hand"]
             assert hand.got[0] == pytest.approx(hand.asked[0], abs=EXACT)
+
+
+@each_robot
+def test_a_curvature_that_leaves_it_rank_deficient(robot: str) -> None:
+    checked = aimed(compiled(robot, "hand alone, with its curvature"))
+    for _ in range(15):
+        assert checked.step().status < Status.STUCK
 
 
 @each_backend
