@@ -21,7 +21,7 @@ else:
         "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
     ).NativeEngine
 
-STEPS = 300
+STEPS = 200
 
 PANDA = str(REPOSITORY / "scenes" / "panda.xml")
 BIPED = str(REPOSITORY / "scenes" / "biped.xml")

@@ -8,7 +8,6 @@ from pydantic import (
     ConfigDict,
     Field,
     PrivateAttr,
-    WithJsonSchema,
     model_validator,
 )
 
@@ -69,8 +68,7 @@ def _switched(value: object) -> object:
 Switch = Annotated[
     bool,
     Field(strict=True),
-    BeforeValidator(_switched),
-    WithJsonSchema({"enum": [True, False, "on", "off"]}),
+    BeforeValidator(_switched, json_schema_input_type=bool | Literal["on", "off"]),
 ]
 """true or on, false or off."""
 

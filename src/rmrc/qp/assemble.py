@@ -252,7 +252,11 @@ class Assembly:
         if not gain:
             return
         pulled = np.stack([driven, way], axis=1)[self._dofs]
-        v, way = np.linalg.solve(qp.H, pulled).T
+        try:
+            np.linalg.cholesky(qp.H)
+            v, way = np.linalg.solve(qp.H, pulled).T
+        except np.linalg.LinAlgError:  # no one optimum, where nothing is damped
+            return
         share, slope = self.braking.field(v, way, gain, dt)
         if self._problem.cascaded:
             soft = np.concatenate(

@@ -93,8 +93,9 @@ class Curvature:
     ) -> bool:
         """Return whether V may rise where some terms get v (n,), what they ask for exactly.
 
-        So it may where Σ dt K (J v)ᵀB(J v) + c vᵀXv > 2 bᵀv, with b = Σ JᵀBKe and c = `longest`:
-        near a singularity J v = ẋ goes as far as the limits let it, first to one side and then to the other.
+        So it may where Σ dt K (J v)ᵀB(J v) + c vᵀXv > 2 bᵀv, with c = `longest`, b = Σ JᵀBKe:
+        near a singularity J v = ẋ goes as far as the limits let it, first to one side and then
+        to the other.
         """
         drawn, curved = 0.0, longest * float(self.bound(terms, rate, dt) @ (v * v))
         for term in terms:

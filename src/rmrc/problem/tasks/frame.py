@@ -52,8 +52,7 @@ class PoseClamp(Model):
     """Largest error that a pose task acts on; what is beyond is approached at constant speed."""
 
     position: Positive | None = None
-    """m; of a `frame` task by default the length of the robot with acceleration limits, and twice
-    that without, unless it has a floating base."""
+    """m."""
     orientation: Positive | None = None
     """rad."""
 
