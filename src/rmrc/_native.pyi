@@ -131,7 +131,7 @@ class Engine:
         angular: list[bool],
     ) -> None: ...
     def add_foreign(self, rows: TermRows) -> None: ...
-    def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
+    def add_joint_task(self, rows: TermRows, kind: str, wrapped: list[int]) -> None: ...
     def adapt(
         self,
         rule: str,
@@ -303,7 +303,6 @@ class Stepper:
         kept: list[Array],
         moving: NDArray[np.uint8],
         watched: list[tuple[int, list[float], float, float]],
-        targets: Array,
         tolerance: float,
     ) -> None: ...
     def add_target(
