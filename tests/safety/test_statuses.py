@@ -1,4 +1,4 @@
-"""`STUCK` is of a robot at rest, `failures` counts in a row, and the flags hold all that happened."""
+"""`STUCK` is of a robot at rest, `failures` counts in a row, and the flags hold all there is."""
 
 from typing import Any
 
@@ -44,8 +44,9 @@ def test_a_target_out_of_reach_ends_stuck(robot: str, backend: str) -> None:
     # A base that floats reaches anything; without it the arm does not.
     dofs = {"dofs": ROBOTS[robot].arm} if ROBOTS[robot].arm else {}
     controller = rmrc.Controller(made(robot, backend, ROBOTS[robot].tasks()[0], **dofs))
-    # Sideways: straight ahead the arm of the G1 creeps for a minute, at 0.02 rad/s.
-    controller.set_target("hand", moved(controller, 0.0, 3.0, 0.0))
+    # Straight ahead the arm of the G1 creeps for a minute, at 0.02 rad/s: it does not rest.
+    away = (0.0, 3.0, 0.0) if robot == "g1" else (3.0, 0.0, 0.0)
+    controller.set_target("hand", moved(controller, *away))
     assert stuck_after(controller, 600) is not None
     step = controller.step()
     assert step.status is Status.STUCK

@@ -9,7 +9,7 @@ import pytest
 import rmrc
 from models import config
 
-CHAIN = """<mujoco><worldbody>
+CHAIN = """<mujoco><compiler angle="radian"/><worldbody>
   <body><joint name="endless" axis="0 0 1"/><geom size="0.03"/>
     <body pos="0.1 0 0"><joint name="ranged" axis="0 0 1" range="-4 4" limited="true"/>
       <geom size="0.03"/>
