@@ -58,7 +58,8 @@ def stuck(tmp_path: Path, engine: Any, target: list[float], *tasks: dict[str, An
     made = config(str(scene), [TIP, *tasks], start=START, dt=DT, **options)
     controller = rmrc.Controller(rmrc.compile(made), engine)
     assert controller.set_target("tip", target)
-    assert controller.step().reasons == ()
+    step = controller.step()
+    assert step.reasons == ()
     for _ in range(round(SECONDS / DT)):
         step = controller.step()
     assert Status.STUCK in step.flags
@@ -132,6 +133,7 @@ def test_a_step_within_the_tolerance_is_not_stuck(tmp_path: Path, engine: Any) -
     made = config(str(scene), [TIP], start=START, dt=DT)
     controller = rmrc.Controller(rmrc.compile(made), engine)
     assert controller.set_target("tip", [1.2, 0.9, 0.0])
+    step = controller.step()
     for _ in range(round(SECONDS / DT)):
         step = controller.step()
     assert Status.STUCK in step.flags
