@@ -247,7 +247,8 @@ class BoundEngine {
 
   void add_foreign(const RowsArgument& rows) { add<ForeignRows>(rows, rows.data.rows, 0); }
 
-  void add_joint_task(const RowsArgument& rows, const std::string& kind) {
+  void add_joint_task(const RowsArgument& rows, const std::string& kind,
+                      const std::vector<int>& wrapped) {
     const auto nv = static_cast<std::size_t>(engine_->mujoco().nv);
     if (rows.root.size() != nv && rows.root.size() != nv * nv) {
       throw std::invalid_argument("the weight has a wrong size");
@@ -262,7 +263,9 @@ class BoundEngine {
                                : task == JointTask::velocity ? nv
                                                              : 0;
     require_target(rows, target);
-    engine_->add(JointTerm{checked(rows, static_cast<int>(nv), engine_->stack().errors), task, rows.root});
+    for (const int dof : wrapped) require_index(dof, engine_->mujoco().nv, "dof");
+    engine_->add(JointTerm{checked(rows, static_cast<int>(nv), engine_->stack().errors), task,
+                           rows.root, wrapped});
   }
 
   void adapt(const std::string& rule, double threshold, double largest, int rank, double scale,
@@ -462,7 +465,7 @@ void bind_engine(nb::module_& m) {
       .def("add_loop", &BoundEngine::add_loop, "rows"_a, "pairs"_a.noconvert(),
            "polynomials"_a, "scale"_a, "angular"_a)
       .def("add_foreign", &BoundEngine::add_foreign, "rows"_a)
-      .def("add_joint_task", &BoundEngine::add_joint_task, "rows"_a, "kind"_a)
+      .def("add_joint_task", &BoundEngine::add_joint_task, "rows"_a, "kind"_a, "wrapped"_a)
       .def("adapt", &BoundEngine::adapt, "rule"_a, "threshold"_a, "largest"_a, "rank"_a, "scale"_a,
            "rows"_a)
       .def("evaluate", &evaluate, "q"_a,

@@ -5,6 +5,8 @@
 #include <utility>
 
 #include "kernels.hpp"
+#include "lie.hpp"
+#include "pointing.hpp"
 
 namespace rmrc {
 
@@ -100,9 +102,10 @@ void Equalities::ask(const HardTerm& term, double* wanted) const {
   const double *rate = rate_ + term.first, *error = stack_.error + term.first;
   std::copy_n(rate, term.rows, wanted);
   if (term.axis.empty()) return;
-  double along = 0.0;
-  for (int i = 0; i < 3; ++i) along += (error[i] + term.axis[i]) * rate[i];
-  for (int i = 0; i < 3; ++i) wanted[i] -= (error[i] + term.axis[i]) * along;
+  double normal[3];
+  Stretch::of_error(term.axis.data(), error).normal(normal);
+  const double along = dot3(normal, rate);
+  for (int i = 0; i < 3; ++i) wanted[i] -= normal[i] * along;
 }
 
 }  // namespace rmrc

@@ -13,7 +13,7 @@ struct HardTerm {
   int first, rows;                 // where its error and its rows stand
   std::vector<double> directions;  // orthonormal (r, rows)
   bool joint;                      // whether J is the identity
-  std::vector<double> axis;        // a (3,) of a term whose e + a is a unit vector; or none
+  std::vector<double> axis;        // a (3,) of a term that points it; or none
   bool bends;                      // whether it may be a cost in place of an equality
 };
 

@@ -224,8 +224,8 @@ class RelativeFrame final : public RowTerm {
   Frame frame_, base_;
 };
 
-/// e = d − a for an axis a of a frame and the direction d of its target: `look_at`, whose target
-/// is a point, and `axis_align`, whose target is a direction.
+/// e = s (d − a) for an axis a of a frame and the direction d of its target, with the stretch s of
+/// `Stretch`: `look_at`, whose target is a point, and `axis_align`, whose target is a direction.
 class Axis final : public RowTerm {
  public:
   Axis(TermData data, std::vector<double> root, Frame frame, const double* axis, bool at_point,
@@ -302,6 +302,7 @@ struct JointTerm {
   TermData data;
   JointTask task;
   std::vector<double> weight;  // B: (nv,) a diagonal or (nv, nv)
+  std::vector<int> wrapped;    // dofs of a posture that take the short way round
 
   /// Write e and ẋ_ff.
   void evaluate(const MuJoCo& mujoco, const Stack& stack) const;

@@ -132,7 +132,7 @@ class Engine:
         angular: list[bool],
     ) -> None: ...
     def add_foreign(self, rows: TermRows) -> None: ...
-    def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
+    def add_joint_task(self, rows: TermRows, kind: str, wrapped: list[int]) -> None: ...
     def adapt(
         self,
         rule: str,
@@ -304,7 +304,6 @@ class Stepper:
         kept: list[Array],
         moving: NDArray[np.uint8],
         watched: list[tuple[int, list[float], float, float]],
-        targets: Array,
         tolerance: float,
     ) -> None: ...
     def add_target(

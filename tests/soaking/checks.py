@@ -401,7 +401,8 @@ def _residual(qp: QP, solution: Solution, unit: float) -> float:
     slackness = 0.0
     for x, lower, upper, multiplier in ends:
         primal = max(primal, float(np.maximum(lower - x, x - upper).max(initial=0.0)))
-        room = np.maximum(np.where(multiplier > 0.0, upper - x, x - lower), 0.0)
+        room = np.where(multiplier > 0.0, upper - x, x - lower) - ROUNDED * np.abs(x)
+        room = np.maximum(room, 0.0)
         limited = (multiplier != 0.0) & np.isfinite(room)
         slackness += float(np.abs(multiplier[limited]) @ room[limited])
         dual = max(dual, float(np.abs(multiplier[~np.isfinite(room)]).max(initial=0.0)))

@@ -230,7 +230,9 @@ class NativeEngine(PythonEngine):
         """Hand a term to the extension, which evaluates those with rows that are of these kinds."""
         native, weight = self._native, self._assembly.leveled(term)
         if term.joint:
-            native.add_joint_task(self._rows_of(term, weight), _JOINT.get(type(term), "foreign"))
+            kind = _JOINT.get(type(term), "foreign")
+            wrapped = term.wrapped.tolist() if isinstance(term, PostureTerm) else []
+            native.add_joint_task(self._rows_of(term, weight), kind, wrapped)
             return
         rows = self._rows_of(term, square_root(weight))
         match term:
