@@ -87,7 +87,7 @@ def task_of(term: Term, problem: Problem) -> BaseTask | None:
             )
         case ComTerm(shares=((1, _),)):  # mink's is that of body 1, whatever it is
             return mink.ComTask(cost)
-        case PostureTerm():
+        case PostureTerm() if not term.wrapped.size:
             return mink.PostureTask(problem.model, cost)
         case LookAtTerm(frame=frame, axis=axis):
             return mink.LookAtTask(frame.id, frame.kind, axis, cost[:1])
