@@ -72,6 +72,7 @@ Status Cascade::solve(const std::vector<Level>& levels, const Program& limits,
   end_ = end;
   iterations_ = 0;
   scale_ = 1.0;
+  optimum_count_ = 0;
   residuals_ = {};
   for (int i = 0; i < size_; ++i) v_[i] = std::min(std::max(0.0, limits.lb[i]), limits.ub[i]);
   std::fill(z_.begin(), z_.end(), 0.0);
@@ -91,7 +92,6 @@ Status Cascade::solve(const std::vector<Level>& levels, const Program& limits,
 Status Cascade::descend(const std::vector<Level>& levels) {
   QPSolver* solver = solvers_.data() + 1;
   bool begun = false;
-  optimum_count_ = 0;
   for (const Level& level : levels) {
     for (const bool first : {true, false}) {
       if (!level.asked) continue;

@@ -23,7 +23,7 @@ struct Level {
   int directed;
   const double* jacobian;   // J (directed, n) of the tasks that move along ẋ
   const double* direction;  // ẋ (directed,) of theirs
-  bool asked;               // whether it counts at this step
+  bool asked = true;        // whether it counts at this step
 };
 
 /// The most that the levels of a problem have.

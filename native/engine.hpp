@@ -178,7 +178,9 @@ class Engine {
   void update_equalities();
   bool cannot_hold();
   template <class Which>
-  bool passes(const double* v, double times, Which which);
+  bool passes(const double* v, Which which);
+  template <class Which>
+  bool is_weak(const double* v, Which which);
   bool turns_back();
   void soften();
   double missed_softly();

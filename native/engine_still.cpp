@@ -11,7 +11,7 @@ namespace rmrc {
 namespace {
 
 constexpr double longest = 3.0;    // rmrc.qp.curvature.LONGEST
-constexpr double longest_along = 20.0;  // rmrc.qp.assemble.ALONG
+constexpr double weak = 0.02;      // rmrc.qp.assemble.WEAK
 constexpr double spared = 0.005;   // rmrc.qp.assemble.SPARED
 constexpr double at_bound = 1e-7;  // rmrc.qp.assemble.AT_BOUND
 
@@ -93,12 +93,12 @@ bool Engine::cannot_hold() {
   for (int i = 0; i < size(); ++i) {
     if (std::abs(exact_[i]) > box_.limits().velocity[i]) return true;
   }
-  return passes(exact_.data(), longest, [](const RowTerm& term) { return term.is_hard(); });
+  return passes(exact_.data(), [](const RowTerm& term) { return term.is_hard(); });
 }
 
 // Whether V may rise where some terms that no cost draws get v: rmrc.qp.curvature.Curvature.passes.
 template <class Which>
-bool Engine::passes(const double* v, double times, Which which) {
+bool Engine::passes(const double* v, Which which) {
   std::fill(curvature_.begin(), curvature_.end(), 0.0);
   double drawn = 0.0, curved = 0.0;
   for (const auto& term : rows_) {
@@ -106,11 +106,29 @@ bool Engine::passes(const double* v, double times, Which which) {
     drawn += term->drawn(program_.rate, v, dt_, curved);
     term->add_curvature(program_.rate, dt_, constants_.least_curvature, curvature_.data());
   }
-  for (int i = 0; i < size(); ++i) curved += times * curvature_[i] * v[i] * v[i];
+  for (int i = 0; i < size(); ++i) curved += longest * curvature_[i] * v[i] * v[i];
   return curved > 2.0 * drawn;
 }
 
-// Whether V may rise for what preserves its direction.
+// Whether some terms that no cost draws hardly move at v, which is near a singularity.
+template <class Which>
+bool Engine::is_weak(const double* v, Which which) {
+  const int n = size();
+  double moved = 0.0, lengths = 0.0;
+  for (const auto& term : rows_) {
+    if (!term->exact() || !which(*term)) continue;
+    for (int r = 0; r < term->data().rows; ++r) {
+      std::fill(exact_.begin(), exact_.end(), 0.0);
+      term->exact_row(r, program_.rate, exact_.data());
+      const double along = dot(exact_.data(), v, n);
+      moved += along * along;
+      lengths += dot(exact_.data(), exact_.data(), n);
+    }
+  }
+  return std::sqrt(moved) < weak * std::sqrt(lengths) * std::sqrt(dot(v, v, n));
+}
+
+// Whether V may rise for what preserves its direction, or it is near a singularity.
 bool Engine::turns_back() {
   if (!is_still()) return false;
   int k = 0;
@@ -126,7 +144,7 @@ bool Engine::turns_back() {
     const bool any = std::any_of(rows_.begin(), rows_.end(), [&](const auto& term) {
       return term->exact() && directed(*term);
     });
-    if (any && passes(v, longest_along, directed)) return true;
+    if (any && (passes(v, directed) || is_weak(v, directed))) return true;
   }
   return false;
 }

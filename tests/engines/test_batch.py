@@ -22,6 +22,8 @@ TIMED: dict[str, Any] = {"timeout": {"target": 0.1}}
 INVALID = 1 << Status.INVALID_INPUT
 STEPS = 90
 """Of 10 ms, with new targets every 30."""
+RESTING = 1500
+"""Steps of 10 ms until robots rest: what the posture asks for decays at its own rate."""
 
 native = pytest.mark.skipif(
     bool(BatchController(rmrc.compile(config(PANDA, [HAND])), 1).notices),
@@ -280,7 +282,7 @@ def test_targets_out_of_reach_for_some() -> None:
     targets[:, 0] += 0.05
     targets[::4, :3] = [0.0, 5.0, 0.0]
     batch.set_targets("hand", targets)
-    for _ in range(500):
+    for _ in range(RESTING):
         batch.step()
     step = batch.step()
     far = np.arange(20) % 4 == 0

@@ -30,6 +30,7 @@ SMALL = 1e-6
 and so moves rates of 1e-5 rad/s by less than `PARITY`."""
 
 # Targets far from the start, by type of task.
+# Within a right angle, beyond which our error is longer than mink's.
 FAR = {"look_at": [2.0, 1.0, 0.5], "axis_align": [0, 1, 1]}
 
 

@@ -33,8 +33,8 @@ def square_root(weight: Array) -> Array:
 
 SPARED = 0.005
 """Share of what a level gains that lower ones may cost it where it cannot have more."""
-ALONG = 20.0
-"""Times X that a motion along ẋ is held to: all joints are at their limits, to be the fastest."""
+WEAK = 0.02
+"""Share of ‖J‖ ‖v‖ that a motion along ẋ must give: less is a singularity, where it swings."""
 AT_BOUND = 1e-7
 """A rate this close to its bound is at it, rad/s or m/s."""
 LEAST_DAMPING = 1e-12
@@ -403,23 +403,27 @@ class Assembly:
         return self.curvature.passes(self._bending, v, self.rate, self.dt)
 
     def turns_back(self, optima: list[Array]) -> bool:
-        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level."""
+        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level.
+
+        Nor is a direction kept near a singularity, where its joints rush and it hardly moves.
+        """
         if not self.still:
             return False
         first = 1 if self.softened else 0
         for terms, v in zip(self.leveled_terms, optima[first:], strict=False):
             preserved = [t for t in terms if t.preserve and t in self.curvature.exact]
-            if preserved and self.curvature.passes(preserved, v, self.rate, self.dt, ALONG):
+            if not preserved:
+                continue
+            if self.curvature.passes(preserved, v, self.rate, self.dt):
+                return True
+            rows = np.vstack([self._exact_rows(term)[0] for term in preserved])
+            if np.linalg.norm(rows @ v) < WEAK * np.linalg.norm(rows) * np.linalg.norm(v):
                 return True
         return False
 
     def _softened_level(self, damping: Array) -> Level:
         """Return the hard tasks that bend as a level."""
-        evaluation, dofs, rows, rates = self._evaluation, self._dofs, [], []
-        for term in self._bending:
-            part, root = evaluation.rows_of([term]), self._root(term)
-            rows.append(root @ evaluation.jacobian[part][:, dofs])
-            rates.append(root @ self.rate[part])
+        rows, rates = zip(*map(self._exact_rows, self._bending), strict=True)
         bound = self.curvature.bound(self._bending, self.rate, self.dt)
         return Level(np.vstack(rows), np.concatenate(rates), damping + np.diag(bound))
 
@@ -454,6 +458,12 @@ class Assembly:
             if cost > spared:
                 v = at + math.sqrt(spared / cost) * (v - at)
         return v
+
+    def _exact_rows(self, term: Term) -> tuple[Array, Array]:
+        """Return S J (r, n) and S ẋ (r,) of a term that no cost draws, for what of it counts."""
+        part, root = self._evaluation.rows_of([term]), square_root(self.curvature.exact[term][0])
+        root = np.diag(root) if root.ndim == 1 else root
+        return root @ self._evaluation.jacobian[part][:, self._dofs], root @ self.rate[part]
 
     def _root(self, term: Term) -> Array:
         """Return S (r, rows) of a term as the levels have it, B = SᵀS."""

@@ -99,6 +99,7 @@ class Cascade:
         entry = self._enter(state)
         if entry is not None and entry.status is not SolveStatus.SOLVED:
             answer.v, answer.status = state.v, _unsolved(entry, SolveStatus.INFEASIBLE)
+            self.optima = [state.v]
             return answer
         kkt = [KKT(0.0, 0.0, 0.0) if entry is None else entry.kkt]
         self.optima = []

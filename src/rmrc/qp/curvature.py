@@ -88,16 +88,13 @@ class Curvature:
             self._add(term, time * pulled, way, diagonal)
         return diagonal
 
-    def passes(
-        self, terms: Iterable[Term], v: Array, rate: Array, dt: float, longest: float = LONGEST
-    ) -> bool:
+    def passes(self, terms: Iterable[Term], v: Array, rate: Array, dt: float) -> bool:
         """Return whether V may rise where some terms get v (n,), what they ask for exactly.
 
-        So it may where Σ dt K (J v)ᵀB(J v) + c vᵀXv > 2 bᵀv, with c = `longest`, b = Σ JᵀBKe:
-        near a singularity J v = ẋ goes as far as the limits let it, first to one side and then
-        to the other.
+        So it may where Σ dt K (J v)ᵀB(J v) + 3 vᵀXv > 2 bᵀv, with b = Σ JᵀBKe: near a singularity
+        J v = ẋ goes as far as the limits let it, first to one side and then to the other.
         """
-        drawn, curved = 0.0, longest * float(self.bound(terms, rate, dt) @ (v * v))
+        drawn, curved = 0.0, LONGEST * float(self.bound(terms, rate, dt) @ (v * v))
         for term in terms:
             moved = self._moved(term, v)
             weight = self.exact[term][0]
