@@ -273,7 +273,7 @@ def test_an_iteration_limit_is_met_by_one_alone() -> None:
 
 @native
 def test_targets_out_of_reach_for_some() -> None:
-    problem = rmrc.compile(config(PANDA, [HAND, POSTURE], dt=0.01))
+    problem = rmrc.compile(config(PANDA, [HAND, {**POSTURE, "B": 1e-3}], dt=0.01))
     batch = BatchController(problem, 20)
     hand = problem.term["hand"].target
     targets = np.tile(np.hstack([hand[4:], hand[:4]]), (20, 1))

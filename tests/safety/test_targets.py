@@ -132,7 +132,10 @@ def test_beyond_the_reach_it_settles(robot: str, backend: str, case: str) -> Non
     history = approach(aimed(robot, backend, share, posture=True))
     assert history.rate.max() > REST
     assert history.calm
-    assert not history.stuck.any() or history.error[np.argmax(history.stuck)] - history.error[-1] < STILL
+    assert (
+        not history.stuck.any()
+        or history.error[np.argmax(history.stuck)] - history.error[-1] < STILL
+    )
 
 
 @each_robot
