@@ -11,9 +11,9 @@ namespace rmrc {
 namespace {
 
 constexpr double longest = 3.0;    // rmrc.qp.curvature.LONGEST
-constexpr double weak = 0.02;      // rmrc.qp.assemble.WEAK
-constexpr double spared = 0.005;   // rmrc.qp.assemble.SPARED
-constexpr double at_bound = 1e-7;  // rmrc.qp.assemble.AT_BOUND
+constexpr double weak = 0.02;      // rmrc.qp.yielding.WEAK
+constexpr double spared = 0.005;   // rmrc.qp.yielding.SPARED
+constexpr double at_bound = 1e-7;  // rmrc.qp.yielding.AT_BOUND
 
 }  // namespace
 
@@ -86,14 +86,20 @@ void Engine::update_equalities() {
   equalities_->update(true);
 }
 
-// Whether E v = f has no v inside the velocity limits, or one at which V rises.
+// Whether E v = f has no v, or one at which V may rise, cut to the velocity limits, or one near a
+// singularity.
 bool Engine::cannot_hold() {
   if (equalities_->inconsistent()) return true;
-  equalities_->least_norm(exact_.data());
+  const auto hard = [](const RowTerm& term) { return term.is_hard(); };
+  equalities_->least_norm(change_.data());
+  if (is_weak(change_.data(), hard)) return true;
+  double faster = 1.0;
   for (int i = 0; i < size(); ++i) {
-    if (std::abs(exact_[i]) > box_.limits().velocity[i]) return true;
+    const double limit = box_.limits().velocity[i];
+    if (limit > 0.0) faster = std::max(faster, std::abs(change_[i]) / limit);
   }
-  return passes(exact_.data(), [](const RowTerm& term) { return term.is_hard(); });
+  for (int i = 0; i < size(); ++i) change_[i] /= faster;
+  return passes(change_.data(), hard);
 }
 
 // Whether V may rise where some terms that no cost draws get v: rmrc.qp.curvature.Curvature.passes.
@@ -187,7 +193,7 @@ double Engine::missed_softly() {
 }
 
 // Leave less of what lower levels cost those above where those are singular:
-// rmrc.qp.assemble.Assembly.spare.
+// rmrc.qp.yielding.Yielding.spare.
 void Engine::spare(const std::vector<Level>& levels) {
   const int n = size(), first = !softened_ && levels_->tasks().front().hard ? 1 : 0;
   int count = 0;

@@ -38,7 +38,7 @@ BY_DESIGN = {
     "compare_limits": {"STUCK"},
     "compare_singular": {"STUCK"},
     "dual_arm_collision": {"STUCK"},
-    "panda_obstacle": {"STUCK"},
+    "panda_obstacle": {"STUCK", "RELAXED"},  # the ball is faster than the arm can give way
     "unreachable": {"STUCK"},
 }
 # Their targets stay out of reach: the run ends at rest, and not converged.
@@ -96,7 +96,9 @@ def test_a_run_saved_loaded_and_saved_again_is_identical(tmp_path: Path) -> None
 def test_the_path_is_the_same_at_every_dt(name: str) -> None:
     path = REPOSITORY / "configs" / f"{name}.yaml"
     runs = {
-        dt: rmrc.solve(rmrc.load(path, overrides={"dt": dt, "duration": 3.0}))
+        dt: rmrc.solve(
+            rmrc.load(path, overrides={"dt": dt, "duration": 3.0, "damping.curvature": False})
+        )
         for dt in (0.001, 0.002, 0.005, 0.01)
     }
     fine = runs[0.001]
@@ -104,7 +106,8 @@ def test_the_path_is_the_same_at_every_dt(name: str) -> None:
     for dt, run in runs.items():
         stride = round(dt / 0.001)
         apart[dt] = float(np.abs(run.q - fine.q[::stride]).max())
-    # Euler's method: the paths come together in proportion to dt; 1.5 allows for second order.
+    # Euler's method, without X, which has dt in it: the paths come together in proportion to dt;
+    # 1.5 allows for second order.
     for small, large in ((0.002, 0.005), (0.005, 0.01)):
         assert apart[small] <= 1.5 * apart[large] * (small - 0.001) / (large - 0.001)
     assert apart[0.002] < 0.01

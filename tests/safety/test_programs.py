@@ -57,9 +57,9 @@ def hand_alone(robot: str, curvature: str) -> tuple[list[dict[str, Any]], dict[s
 
 
 def hard_hand(robot: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """The hand's task is an equality, beside a posture."""
+    """The hand's task is an equality, beside a posture; near a singularity, too."""
     tasks = ROBOTS[robot].tasks(hard=True)
-    return [tasks[0], tasks[-1]], {}
+    return [tasks[0], tasks[-1]], {"damping": {"curvature": "off"}}
 
 
 def hard_hand_twice(robot: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:

@@ -163,8 +163,8 @@ class PythonEngine:
         solution, assembly = self._best(), self._assembly
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
-        if assembly.softened:
-            self.relaxed |= assembly.misses(solution.v) > INCONSISTENT
+        if assembly.yielding.softened:
+            self.relaxed |= assembly.yielding.misses(solution.v) > INCONSISTENT
         if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
@@ -183,7 +183,7 @@ class PythonEngine:
         Return whether a joint is outside its range, or a distance below its limit.
         """
         assembly = self._assembly
-        self._dt = assembly.dt = dt
+        self._dt = assembly.yielding.dt = dt
         self.evaluation.v_previous[:] = v_previous
         outside = self._assemble(q, dt)
         if self._box_alone:
@@ -267,7 +267,7 @@ class PythonEngine:
         if assembly.turns_back(cascade.optima):
             levels = assembly.levels(directed=False)
             solution = cascade.solve(levels, assembly.qp)
-        if assembly.still and self.problem.curvature:
+        if assembly.yielding.still and self.problem.curvature:
             solution.v = assembly.spare(levels, cascade.optima)
         self.scaled = self._cascade.scale < 1.0 - WHOLE
         return solution

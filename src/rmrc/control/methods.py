@@ -16,8 +16,8 @@ from rmrc.control.mink_ik import MinkIK, Unsolved, ignored_tasks, unread
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.ball import BallRanges
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
-from rmrc.qp.assemble import Assembly, square_root
+from rmrc.problem.tasks.base import Term, square_root
+from rmrc.qp.assemble import Assembly
 from rmrc.qp.cascade import WHOLE
 from rmrc.qp.program import KKT, Solution, SolveStatus
 from rmrc.qp.rows import Rows

@@ -22,7 +22,7 @@ from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.extents import dofs_of_bodies
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.axis_align import AxisAlignTerm
-from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.base import Term, square_root
 from rmrc.problem.tasks.centering import CenteringTerm
 from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.coupling import CouplingTerm
@@ -33,7 +33,7 @@ from rmrc.problem.tasks.posture import PostureTerm
 from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
 from rmrc.problem.tasks.smooth import SmoothTerm
 from rmrc.problem.tasks.velocity import VelocityTerm
-from rmrc.qp.assemble import Assembly, square_root
+from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import Backend, create
 from rmrc.qp.backends.native import MOST_CHANGES, Native
 from rmrc.qp.program import KKT, Solution, SolveStatus

@@ -12,10 +12,10 @@ from rmrc.control.native_kinematics import frame_of
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.base import Term, square_root
 from rmrc.problem.tasks.loop import ROWS, TORQUE_SCALE, End, LoopTerm, ends_of_equality
 from rmrc.problem.tasks.pointing import PointingTerm
-from rmrc.qp.assemble import Assembly, square_root
+from rmrc.qp.assemble import Assembly
 from rmrc.qp.equalities import weighed_directions
 
 Array = NDArray[np.float64]

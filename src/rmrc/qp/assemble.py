@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.base import Term, square_root
 from rmrc.qp.braking import Braking
 from rmrc.qp.cascade import Level
 from rmrc.qp.curvature import Curvature
@@ -18,25 +18,11 @@ from rmrc.qp.damping import Damping, largest_square
 from rmrc.qp.equalities import Equalities
 from rmrc.qp.foreign import checked
 from rmrc.qp.program import QP
-from rmrc.qp.relax import INCONSISTENT
+from rmrc.qp.yielding import Yielding
 
 Array = NDArray[np.float64]
 
 
-def square_root(weight: Array) -> Array:
-    """Return S with B = SᵀS: of a diagonal element by element, of a matrix by its eigenvectors."""
-    if weight.ndim == 1:
-        return np.sqrt(weight)
-    values, vectors = np.linalg.eigh(weight)
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
-
-SPARED = 0.005
-"""Share of what a level gains that lower ones may cost it where it cannot have more."""
-WEAK = 0.02
-"""Share of ‖J‖ ‖v‖ that a motion along ẋ must give: less is a singularity, where it swings."""
-AT_BOUND = 1e-7
-"""A rate this close to its bound is at it, rad/s or m/s."""
 LEAST_DAMPING = 1e-12
 """λ² at a level, where the configuration has less: it keeps a level's program definite."""
 
@@ -65,8 +51,6 @@ class Assembly:
         self._capped = self._gain.copy()
         self.rate = np.empty_like(self._gain)
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
-        self.dt = problem.dt
-        """Length of the present step, s."""
         self._row_rate = self.rate[:rows]
         # What mocap bodies carry may move whenever they do.
         self._fed = bool(problem.model.nmocap) or any(
@@ -109,9 +93,9 @@ class Assembly:
         firm = [term for term in hard if term not in self.curvature.exact]
         self._equalities = Equalities(problem, evaluation, hard) if hard else None
         self._firm = Equalities(problem, evaluation, firm) if firm else None
-        self._bending = [term for term in hard if term in self.curvature.exact]
-        self.softened = False
-        """Whether hard tasks that bend are a cost at this step: they have no place to go on to."""
+        self.yielding = Yielding(
+            problem, evaluation, self.curvature, self.leveled, self.rate, self.qp
+        )
         self.inertia = np.empty((problem.model.nv, problem.model.nv))
         """M(q) (nv, nv) at the last assembly, where A has a share of it."""
         self._gradient = np.empty(problem.model.nv)
@@ -181,11 +165,6 @@ class Assembly:
         for _, matrix in self._joint_matrices:
             full += matrix
         return np.ascontiguousarray(full[np.ix_(self._dofs, self._dofs)])
-
-    @property
-    def still(self) -> bool:
-        """Whether no target that a task has a gain for moves."""
-        return not self._evaluation.feedforward[self._gain > 0.0].any()
 
     def assemble(self, q: Array, dt: float) -> bool:
         """Write the program at q (nq,) for a step of dt; return whether a joint is outside."""
@@ -266,7 +245,7 @@ class Assembly:
                 ]
             )
             self.rate -= soft * unfed
-        elif self.braking.jerks and self.still:
+        elif self.braking.jerks and self.yielding.still:
             v_previous = evaluation.v_previous[self._dofs]
             qp.g += pulled[:, 0] - qp.H @ self.braking.followed(share * v, slope, v_previous, dt)
         else:
@@ -336,7 +315,7 @@ class Assembly:
         metric = metric + damping if metric.any() else np.eye(n)
         weighted, wanted = self._weigh(), -self._weigh_rate()
         return [
-            *([self._softened_level(damping)] if self.softened else []),
+            *([self.yielding.level(damping)] if self.yielding.softened else []),
             *(
                 self._level(level, weighted, wanted, damping, directed)
                 for level in self.leveled_terms
@@ -352,7 +331,7 @@ class Assembly:
         for term in terms:
             part = self._evaluation.rows_of([term])
             if term.joint:
-                root = self._root(term)
+                root = self.yielding.root(term)
                 rows.append(root[:, self._dofs])
                 rates.append(root @ self.rate[part])
                 continue
@@ -371,7 +350,7 @@ class Assembly:
             direction = (np.vstack(jacobians), np.concatenate(asked))
         elif directions:
             preserved = [term for term in terms if term in self.curvature.exact]
-            damping = damping + np.diag(self.curvature.bound(preserved, self.rate, self.dt))
+            damping = damping + self.yielding.bound(preserved)
         return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
     def equalities(self) -> Equalities | None:
@@ -379,103 +358,29 @@ class Assembly:
 
         Near a singularity those that bend are a cost instead, above all others and with their X.
         """
-        self.softened = False
-        held = self._equalities
+        yielding, held = self.yielding, self._equalities
+        yielding.softened = False
         if held is None:
             return None
         held.update(self.rate)
-        if not (self._bending and self.still and self._cannot_hold(held)):
+        if not yielding.cannot_hold(held):
             return held
-        self.softened = True
+        yielding.softened = True
         if not self._problem.cascaded:
-            level, share = self._softened_level(np.zeros_like(self.qp.H)), self._problem.soft_ratio
+            level, share = yielding.level(np.zeros_like(self.qp.H)), self._problem.soft_ratio
             self.qp.H += (level.rows.T @ level.rows + level.metric) / share
             self.qp.g -= level.rate @ level.rows / share
         if self._firm is not None:
             self._firm.update(self.rate)
         return self._firm
 
-    def _cannot_hold(self, held: Equalities) -> bool:
-        """Return whether E v = f has no v inside the velocity limits, or one at which V rises."""
-        v, limit = held.least_norm, self._problem.box.velocity
-        if held.inconsistency > INCONSISTENT or (np.abs(v) > limit).any():
-            return True
-        return self.curvature.passes(self._bending, v, self.rate, self.dt)
-
     def turns_back(self, optima: list[Array]) -> bool:
-        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level.
-
-        Nor is a direction kept near a singularity, where its joints rush and it hardly moves.
-        """
-        if not self.still:
-            return False
-        first = 1 if self.softened else 0
-        for terms, v in zip(self.leveled_terms, optima[first:], strict=False):
-            preserved = [t for t in terms if t.preserve and t in self.curvature.exact]
-            if not preserved:
-                continue
-            if self.curvature.passes(preserved, v, self.rate, self.dt):
-                return True
-            rows = np.vstack([self._exact_rows(term)[0] for term in preserved])
-            if np.linalg.norm(rows @ v) < WEAK * np.linalg.norm(rows) * np.linalg.norm(v):
-                return True
-        return False
-
-    def _softened_level(self, damping: Array) -> Level:
-        """Return the hard tasks that bend as a level."""
-        rows, rates = zip(*map(self._exact_rows, self._bending), strict=True)
-        bound = self.curvature.bound(self._bending, self.rate, self.dt)
-        return Level(np.vstack(rows), np.concatenate(rates), damping + np.diag(bound))
+        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level."""
+        return self.yielding.turns_back(self.leveled_terms, optima)
 
     def spare(self, levels: list[Level], optima: list[Array]) -> Array:
-        """Return v (n,) with less of what lower levels cost those above where those are singular.
-
-        With v_k the optimum of level k, what lower ones do in its null space, u = v − v_k, costs it
-        ½ dt uᵀCu, with C of what it cannot get, m = dt² (W Wᵀ + dt²)⁻¹ (S ẋ − W v_k) for the joints
-        that are not at their bounds. u is cut to where dt uᵀCu ≤ 0.005 (S ẋ)ᵀ W (v_k − v_k−1).
-
-        Args:
-            levels: What they ask for, the highest first.
-            optima: v_k (n,) of each level that was solved.
-        """
-        parts = [*([self._bending] if self.softened else []), *self.leveled_terms]
-        v, dt = optima[-1], self.dt
-        befores = [np.zeros(self._dofs.size), *optima]
-        steps = list(zip(parts, levels, optima[:-1], befores, strict=False))
-        for terms, level, at, before in reversed(steps):
-            free = (at > self.qp.lb + AT_BOUND) & (at < self.qp.ub - AT_BOUND)
-            columns, missed = level.rows[:, free], level.rate - level.rows @ at
-            damped = columns @ columns.T + dt**2 * np.eye(missed.size)
-            missed = dt**2 * np.linalg.solve(damped, missed)
-            gained, cost, first = float(level.rate @ (level.rows @ (at - before))), 0.0, 0
-            for term in terms:
-                root = self._root(term)
-                rows = slice(first, first + len(root))
-                if term in self.curvature.ways:
-                    cost += dt * self.curvature.bent(term, root.T @ missed[rows], v - at)
-                first = rows.stop
-            spared = max(0.0, SPARED * gained)
-            if cost > spared:
-                v = at + math.sqrt(spared / cost) * (v - at)
-        return v
-
-    def _exact_rows(self, term: Term) -> tuple[Array, Array]:
-        """Return S J (r, n) and S ẋ (r,) of a term that no cost draws, for what of it counts."""
-        part, root = self._evaluation.rows_of([term]), square_root(self.curvature.exact[term][0])
-        root = np.diag(root) if root.ndim == 1 else root
-        return root @ self._evaluation.jacobian[part][:, self._dofs], root @ self.rate[part]
-
-    def _root(self, term: Term) -> Array:
-        """Return S (r, rows) of a term as the levels have it, B = SᵀS."""
-        softened = term.hard and term in self.curvature.exact
-        root = square_root(self.curvature.exact[term][0] if softened else self.leveled(term))
-        root = np.diag(root) if root.ndim == 1 else root
-        return root[np.any(root != 0.0, axis=1)] if term.joint else root
-
-    def misses(self, v: Array) -> float:
-        """Return by how much v (n,) misses what is asked of the hard tasks that are a cost."""
-        level = self._softened_level(np.zeros_like(self.qp.H))
-        return float(np.linalg.norm(level.rows @ v - level.rate))
+        """Return v (n,) with less of what lower levels cost those above: see `Yielding.spare`."""
+        return self.yielding.spare(self.leveled_terms, levels, optima)
 
     @property
     def damping(self) -> float:

@@ -281,6 +281,14 @@ def weight_array(weight: object, rows: int, key: str = "B") -> Array:
     return array
 
 
+def square_root(weight: Array) -> Array:
+    """Return S with B = SᵀS: of a diagonal element by element, of a matrix by its eigenvectors."""
+    if weight.ndim == 1:
+        return np.sqrt(weight)
+    values, vectors = np.linalg.eigh(weight)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+
 def gain_value(gain: float | str) -> float:
     """Return K in 1/s; `deadbeat` is infinite here and 1/dt in the step."""
     return np.inf if isinstance(gain, str) else gain
