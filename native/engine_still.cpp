@@ -13,6 +13,7 @@ namespace {
 constexpr double longest = 3.0;    // rmrc.qp.curvature.LONGEST
 constexpr double weak = 0.02;      // rmrc.qp.yielding.WEAK
 constexpr double spared = 0.005;   // rmrc.qp.yielding.SPARED
+constexpr double resolved = 1e-12;  // rmrc.qp.yielding.RESOLVED
 constexpr double at_bound = 1e-7;  // rmrc.qp.yielding.AT_BOUND
 
 }  // namespace
@@ -195,13 +196,14 @@ double Engine::missed_softly() {
 // Leave less of what lower levels cost those above where those are singular:
 // rmrc.qp.yielding.Yielding.spare.
 void Engine::spare(const std::vector<Level>& levels) {
-  const int n = size(), first = !softened_ && levels_->tasks().front().hard ? 1 : 0;
+  const std::vector<LevelTasks>& all = levels_->tasks();
+  const int n = size(), first = !softened_ && !all.empty() && all.front().hard ? 1 : 0;
   int count = 0;
   while (cascade_->optimum(count) != nullptr) ++count;
   for (int k = count - 2; k >= 0; --k) {
-    if (first + k >= static_cast<int>(levels_->tasks().size())) continue;
+    if (first + k >= static_cast<int>(all.size())) continue;
     const Level& level = levels[first + k];
-    const LevelTasks& tasks = levels_->tasks()[first + k];
+    const LevelTasks& tasks = all[first + k];
     const double *at = cascade_->optimum(k), *before = k > 0 ? cascade_->optimum(k - 1) : nullptr;
     const int m = level.rows;
     double gained = 0.0, cost = 0.0;
@@ -213,7 +215,7 @@ void Engine::spare(const std::vector<Level>& levels) {
     }
     for (int r = 0; r < m; ++r) {
       for (int s = 0; s <= r; ++s) {
-        double sum = r == s ? dt_ * dt_ : 0.0;
+        double sum = 0.0;
         for (int i = 0; i < n; ++i) {
           const bool free = at[i] > program_.lb[i] + at_bound && at[i] < program_.ub[i] - at_bound;
           if (free) sum += level.matrix[r * n + i] * level.matrix[s * n + i];
@@ -221,10 +223,13 @@ void Engine::spare(const std::vector<Level>& levels) {
         gram_[r * m + s] = gram_[s * m + r] = sum;
       }
     }
+    double damping = dt_ * dt_;
+    for (int r = 0; r < m; ++r) damping = std::max(damping, resolved * gram_[r * m + r]);
+    for (int r = 0; r < m; ++r) gram_[r * m + r] += damping;
     gram_factor_->factorize(gram_.data(), m, all_rows_.data(), m);
     gram_factor_->forward(missed_.data());
     gram_factor_->backward(missed_.data());
-    for (int r = 0; r < m; ++r) missed_[r] *= dt_ * dt_;
+    for (int r = 0; r < m; ++r) missed_[r] *= damping;
     for (int i = 0; i < n; ++i) exact_[i] = v_[i] - at[i];
     const double* missed = missed_.data();
     for (const LevelTasks::Part& part : tasks.parts) {

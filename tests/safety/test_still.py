@@ -240,3 +240,26 @@ def test_a_chain_rests_however_its_hand_is_asked(
     last = np.where(np.abs(rates[-500:]) < CREEPS, 0.0, rates[-500:])
     assert sign_changes(last) <= 1
     assert np.abs(rates[-1]).max() <= max(1e-3, np.abs(rates[-500]).max())
+
+
+@pytest.mark.parametrize("kind", ["coupling", "kinetic_energy"])
+def test_levels_of_nothing_that_bends(repository: Path, engine: Any, kind: str) -> None:
+    """A strict problem may have no level with rows at all."""
+    tasks: dict[str, dict[str, Any]] = {
+        "coupling": {"coefficients": {"joint1": 1.0, "joint2": -1.0}, "hard": True},
+        "kinetic_energy": {},
+    }
+    task = {"name": "alone", "type": kind, **tasks[kind]}
+    scene = str(repository / "scenes" / "panda.xml")
+    problem = rmrc.compile(config(scene, [task], priority="strict"))
+    controller = rmrc.Controller(problem, engine)
+    assert all(np.isfinite(controller.step().v).all() for _ in range(3))
+
+
+def test_a_step_of_next_to_no_time(repository: Path, engine: Any) -> None:
+    """What a level cannot get is found at every dt, though dt² is lost beside W Wᵀ."""
+    controller = rmrc.Controller(panda(repository, 0.002, priority="strict"), engine)
+    controller.set_target("hand", position=[2.0, 0.0, 0.4])
+    for _ in range(2000):
+        controller.step()
+    assert np.isfinite(controller.step(dt=1e-12).v).all()

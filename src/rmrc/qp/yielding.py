@@ -21,6 +21,8 @@ SPARED = 0.005
 """Share of what a level gains that lower ones may cost it where it cannot have more."""
 WEAK = 0.02
 """Share of ‖J‖ ‖v‖ that a motion for ẋ must give: less is a singularity, where it swings."""
+RESOLVED = 1e-12
+"""Share of the largest element of W Wᵀ that rounding leaves its least eigenvalue."""
 AT_BOUND = 1e-7
 """A rate this close to its bound is at it, rad/s or m/s."""
 
@@ -132,8 +134,9 @@ class Yielding:
         for terms, level, at, before in reversed(steps):
             free = (at > self._qp.lb + AT_BOUND) & (at < self._qp.ub - AT_BOUND)
             columns, missed = level.rows[:, free], level.rate - level.rows @ at
-            damped = columns @ columns.T + dt**2 * np.eye(missed.size)
-            missed = dt**2 * np.linalg.solve(damped, missed)
+            gram = columns @ columns.T
+            damping = max(dt**2, RESOLVED * float(gram.diagonal().max(initial=0.0)))
+            missed = damping * np.linalg.solve(gram + damping * np.eye(missed.size), missed)
             gained, cost, first = float(level.rate @ (level.rows @ (at - before))), 0.0, 0
             for term in terms:
                 root = self.root(term)
