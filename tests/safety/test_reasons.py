@@ -42,15 +42,6 @@ TIP = {
 POST = {"collision": {"pairs": [["link1", "post"], ["link2", "post"], ["link3", "post"]]}}
 
 
-@pytest.fixture(params=["python", "native"])
-def engine(request: pytest.FixtureRequest) -> Any:
-    if request.param == "native":
-        pytest.importorskip(
-            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
-        )
-    return request.param
-
-
 def stuck(tmp_path: Path, engine: Any, target: list[float], *tasks: dict[str, Any], **options: Any):
     """Return the last step of the arm, which has to be stuck."""
     scene = tmp_path / "arm.xml"

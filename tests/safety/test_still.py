@@ -37,15 +37,6 @@ SLIDE = """<mujoco><worldbody>
 </worldbody></mujoco>"""
 
 
-@pytest.fixture(params=["python", "native"])
-def engine(request: pytest.FixtureRequest) -> Any:
-    if request.param == "native":
-        pytest.importorskip(
-            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
-        )
-    return request.param
-
-
 def panda(repository: Path, dt: float, curvature: bool = True, **others: Any) -> rmrc.Problem:
     tasks: list[dict[str, Any]] = [
         {"name": "hand", "type": "frame", "frame": {"site": "hand"}},

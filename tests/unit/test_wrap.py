@@ -25,15 +25,6 @@ SAME = 1e-9
 """What the damping and rounding leave of a command's direction, rad/s."""
 
 
-@pytest.fixture(params=["python", "native"])
-def engine(request: pytest.FixtureRequest) -> Any:
-    if request.param == "native":
-        pytest.importorskip(
-            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
-        )
-    return request.param
-
-
 def first_errors(tmp_path: Path, engine: Any, start: float, target: float, **keys: Any) -> Any:
     """Return the error of the posture and the joint rates at the first step."""
     scene = tmp_path / "chain.xml"

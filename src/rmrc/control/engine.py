@@ -264,12 +264,12 @@ class PythonEngine:
         assembly, cascade = self._assembly, self._cascade
         levels = assembly.levels()
         solution = cascade.solve(levels, assembly.qp)
-        if assembly.turns_back(cascade.optima):
+        if assembly.yielding.turns_back(cascade.optima):
             levels = assembly.levels(directed=False)
             solution = cascade.solve(levels, assembly.qp)
         if assembly.yielding.still and self.problem.curvature:
-            solution.v = assembly.spare(levels, cascade.optima)
-        self.scaled = self._cascade.scale < 1.0 - WHOLE
+            solution.v = assembly.yielding.spare(levels, cascade.optima)
+        self.scaled = cascade.scale < 1.0 - WHOLE
         return solution
 
     def _from_cold(self, solution: Solution) -> Solution:

@@ -144,7 +144,7 @@ class NativeEngine(PythonEngine):
         self._native = self._build()
         curvature = self._assembly.curvature
         self._ways = {term.name: curvature.joints(way) for term, way in curvature.ways.items()}
-        self._exact = {t.name: square_root(mask) for t, (mask, _) in curvature.exact.items()}
+        self._exact = {t.name: square_root(mask) for t, mask in curvature.exact.items()}
         rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
         watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
         self._native.follow(native_kinematics.build(model, data, self._cdof, watched))

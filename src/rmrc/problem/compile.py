@@ -30,7 +30,6 @@ from rmrc.problem.tasks.base import FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
 from rmrc.problem.tasks.loop import LoopTerm, equality_name
-from rmrc.problem.tasks.posture import PostureTerm
 from rmrc.qp.backends import create
 
 Array = NDArray[np.float64]
@@ -94,10 +93,7 @@ class _Compiler:
         for term in terms:
             if isinstance(term, FreezeTerm):
                 box.velocity[term.dofs] = 0.0
-        terms = tuple(
-            term.within(box.lower, box.upper) if isinstance(term, PostureTerm) else term
-            for term in terms
-        )
+        terms = tuple(term.within(box.lower, box.upper) for term in terms)
         moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
         barriers = compile_barriers(objects, config.limits, start, moving, mistakes, notices)
         if barriers:

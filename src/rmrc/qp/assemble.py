@@ -22,7 +22,6 @@ from rmrc.qp.yielding import Yielding
 
 Array = NDArray[np.float64]
 
-
 LEAST_DAMPING = 1e-12
 """λ² at a level, where the configuration has less: it keeps a level's program definite."""
 
@@ -89,12 +88,8 @@ class Assembly:
             for level in sorted({term.level for term in soft})
         ]
         """The terms of each level, the highest first."""
-        hard = [term for term in evaluation.terms if term.hard]
-        firm = [term for term in hard if term not in self.curvature.exact]
-        self._equalities = Equalities(problem, evaluation, hard) if hard else None
-        self._firm = Equalities(problem, evaluation, firm) if firm else None
         self.yielding = Yielding(
-            problem, evaluation, self.curvature, self.leveled, self.rate, self.qp
+            problem, self.curvature, self.leveled, self.leveled_terms, self.rate, self.qp
         )
         self.inertia = np.empty((problem.model.nv, problem.model.nv))
         """M(q) (nv, nv) at the last assembly, where A has a share of it."""
@@ -358,29 +353,13 @@ class Assembly:
 
         Near a singularity those that bend are a cost instead, above all others and with their X.
         """
-        yielding, held = self.yielding, self._equalities
-        yielding.softened = False
-        if held is None:
-            return None
-        held.update(self.rate)
-        if not yielding.cannot_hold(held):
-            return held
-        yielding.softened = True
-        if not self._problem.cascaded:
-            level, share = yielding.level(np.zeros_like(self.qp.H)), self._problem.soft_ratio
+        held = self.yielding.held()
+        if self.yielding.softened and not self._problem.cascaded:
+            level = self.yielding.level(np.zeros_like(self.qp.H))
+            share = self._problem.soft_ratio
             self.qp.H += (level.rows.T @ level.rows + level.metric) / share
             self.qp.g -= level.rate @ level.rows / share
-        if self._firm is not None:
-            self._firm.update(self.rate)
-        return self._firm
-
-    def turns_back(self, optima: list[Array]) -> bool:
-        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level."""
-        return self.yielding.turns_back(self.leveled_terms, optima)
-
-    def spare(self, levels: list[Level], optima: list[Array]) -> Array:
-        """Return v (n,) with less of what lower levels cost those above: see `Yielding.spare`."""
-        return self.yielding.spare(self.leveled_terms, levels, optima)
+        return held
 
     @property
     def damping(self) -> float:

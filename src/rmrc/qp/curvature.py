@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term, Way
+from rmrc.problem.tasks.base import BendingTerm, Pull, Term, Way
 
 Array = NDArray[np.float64]
 
@@ -44,48 +44,34 @@ class Curvature:
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation, leveled: Callable[[Term], Array]):
-        self._evaluation = evaluation
+        self.evaluation = evaluation
         model, dofs = problem.model, problem.dofs.tolist()
         self._column = {dof: k for k, dof in enumerate(dofs)}
         self._hinge = turning_dofs(model)
         self._unit = np.where(self._hinge, 1.0, model.stat.extent)
-        self.terms = [
-            (term, leveled(term), term.way(model).within(dofs))
-            for term in evaluation.terms
-            if problem.curvature and term.bends and not term.hard and not term.preserve
-        ]
-        """The terms that X has a part of, their B in the program's unit, and their ways."""
-        self.exact = {
-            term: (_mask(term), term.way(model).within(dofs))
-            for term in evaluation.terms
-            if problem.curvature and term.bends and (term.hard or term.preserve)
-        }
-        """The terms that no cost draws: what of their rows counts, and their ways."""
-        self.ways = {term: way for term, _, way in self.terms}
-        """Of all terms that bend the ways."""
-        self.ways |= {term: way for term, (_, way) in self.exact.items()}
+        bending = [t for t in evaluation.terms if isinstance(t, BendingTerm) and problem.curvature]
+        self.ways: dict[Term, Way] = {term: term.way(model).within(dofs) for term in bending}
+        """The ways of the terms that bend."""
+        self.exact: dict[Term, Array] = {t: _mask(t) for t in bending if t.hard or t.preserve}
+        """What of the rows counts of those that no cost draws."""
+        self._weights = {t: leveled(t) for t in bending if t not in self.exact}
         self.least = LEAST if np.isfinite(problem.box.acceleration).any() else 0.0
         """The least dt K in X."""
-        self.levels = {term.level: np.zeros(len(dofs)) for term, _, _ in self.terms}
+        self.levels = {term.level: np.zeros(len(dofs)) for term in self._weights}
         """X (n,) of each level at the last update, in the program's unit."""
 
     def update(self, rate: Array, dt: float) -> None:
         """Find X at ẋ without its feed-forward, K clamp(e) (rows,) of all terms."""
         for diagonal in self.levels.values():
             diagonal[:] = 0.0
-        for term, weight, way in self.terms:
-            time = max(dt, self.least * max(1.0 / term.gain, dt))
-            pulled = _weighed(weight, self._evaluation.error_of(rate, term))
-            self._add(term, time * pulled, way, self.levels[term.level])
+        for term, weight in self._weights.items():
+            self._add(term, weight, rate, dt, self.levels[term.level])
 
     def bound(self, terms: Iterable[Term], rate: Array, dt: float) -> Array:
         """Return X (n,) of terms that no cost draws, at K clamp(e) (rows,) of all terms."""
         diagonal = np.zeros(len(self._column))
         for term in terms:
-            weight, way = self.exact[term]
-            time = max(dt, self.least * max(1.0 / term.gain, dt))
-            pulled = _weighed(weight, self._evaluation.error_of(rate, term))
-            self._add(term, time * pulled, way, diagonal)
+            self._add(term, self.exact[term], rate, dt, diagonal)
         return diagonal
 
     def passes(self, terms: Iterable[Term], v: Array, rate: Array, dt: float) -> bool:
@@ -97,8 +83,8 @@ class Curvature:
         drawn, curved = 0.0, LONGEST * float(self.bound(terms, rate, dt) @ (v * v))
         for term in terms:
             moved = self._moved(term, v)
-            weight = self.exact[term][0]
-            drawn += float(_weighed(weight, self._evaluation.error_of(rate, term)) @ moved)
+            weight = self.exact[term]
+            drawn += float(_weighed(weight, self.evaluation.error_of(rate, term)) @ moved)
             curved += dt * min(term.gain, 1.0 / dt) * float(moved @ _weighed(weight, moved))
         return curved > 2.0 * drawn
 
@@ -108,8 +94,7 @@ class Curvature:
         m_j is the u_j of the class, and Ω_j how fast the dofs before j turn the frame.
         """
         way = self.ways[term]
-        linear, angular, force, torque, distance = term.pull(self._evaluation, pulled)
-        moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
+        (linear, angular, force, _, distance), moments = self._pull(term, pulled)
         turned, total, along = np.zeros((len(way.dofs), 3)), 0.0, np.zeros(3)
         for k, (dof, before) in enumerate(zip(way.dofs, way.before, strict=True)):
             rate = u[self._column[dof]]
@@ -122,16 +107,24 @@ class Curvature:
             total += float(np.linalg.norm(force) / distance * (along @ along))
         return total
 
+    def _pull(self, term: Term, pulled: Array) -> tuple[Pull, Array]:
+        """Return the pull of a term at B x (rows,), and u_j (nv, 3) of it."""
+        assert isinstance(term, BendingTerm)
+        pull = term.pull(self.evaluation, pulled)
+        linear, angular, force, torque, _ = pull
+        return pull, np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
+
     def _moved(self, term: Term, v: Array) -> Array:
         """Return J v (rows,) of a term."""
-        rows = self._evaluation.rows_of([term])
-        return self._evaluation.jacobian[rows][:, list(self._column)] @ v
+        rows = self.evaluation.rows_of([term])
+        return self.evaluation.jacobian[rows][:, list(self._column)] @ v
 
-    def _add(self, term: Term, pulled: Array, way: Way, diagonal: Array) -> None:
-        """Add the row sums of |C| for B x (rows,) to a diagonal (n,)."""
-        linear, angular, force, torque, distance = term.pull(self._evaluation, pulled)
-        moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
-        self._add_row_sums(np.linalg.norm(moments, axis=1), way, diagonal)
+    def _add(self, term: Term, weight: Array, rate: Array, dt: float, diagonal: Array) -> None:
+        """Add dt or the least of it times the row sums of |C| for B ẋ to a diagonal (n,)."""
+        time = max(dt, self.least * max(1.0 / term.gain, dt))
+        pulled = time * _weighed(weight, self.evaluation.error_of(rate, term))
+        (linear, _, force, _, distance), moments = self._pull(term, pulled)
+        self._add_row_sums(np.linalg.norm(moments, axis=1), self.ways[term], diagonal)
         if distance < math.inf:
             levers = np.linalg.norm(linear, axis=0)[list(self._column)]
             diagonal += np.linalg.norm(force) / distance * levers.sum() * levers

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term, square_root
 from rmrc.qp.cascade import Level
@@ -39,19 +38,24 @@ class Yielding:
     def __init__(
         self,
         problem: Problem,
-        evaluation: Evaluation,
         curvature: Curvature,
         leveled: Callable[[Term], Array],
+        levels: Sequence[Sequence[Term]],
         rate: Array,
         qp: QP,
     ):
+        evaluation = curvature.evaluation
         self._evaluation, self._curvature, self._leveled = evaluation, curvature, leveled
-        self._rate, self._qp = rate, qp
+        self._levels, self._rate, self._qp = levels, rate, qp
         self._dofs, self._fastest = problem.dofs, problem.box.velocity
         gained = [np.full(term.rows, term.gain > 0.0) for term in evaluation.terms]
         self._gained = np.concatenate([*gained, np.zeros(0, dtype=np.bool_)])
-        self.bending = [t for t in evaluation.terms if t.hard and t in curvature.exact]
+        hard = [term for term in evaluation.terms if term.hard]
+        self.bending = [term for term in hard if term in curvature.exact]
         """The hard tasks that may be a cost."""
+        firm = [term for term in hard if term not in curvature.exact]
+        self._all = Equalities(problem, evaluation, hard) if hard else None
+        self._firm = Equalities(problem, evaluation, firm) if firm else None
         self.softened = False
         """Whether they are one at this step."""
         self.dt = problem.dt
@@ -62,7 +66,20 @@ class Yielding:
         """Whether no target that a task has a gain for moves."""
         return not self._evaluation.feedforward[self._gained].any()
 
-    def cannot_hold(self, held: Equalities) -> bool:
+    def held(self) -> Equalities | None:
+        """Return the equalities of the present step; None without any."""
+        self.softened = False
+        if self._all is None:
+            return None
+        self._all.update(self._rate)
+        self.softened = self._cannot_hold(self._all)
+        if not self.softened:
+            return self._all
+        if self._firm is not None:
+            self._firm.update(self._rate)
+        return self._firm
+
+    def _cannot_hold(self, held: Equalities) -> bool:
         """Return whether E v = f has no v, or one at which V may rise, cut to the velocity limits.
 
         Nor does it hold near a singularity, where the joints rush and what they move hardly moves.
@@ -76,7 +93,7 @@ class Yielding:
         faster = float((np.abs(v[moves]) / self._fastest[moves]).max(initial=1.0))
         return self._curvature.passes(self.bending, v / faster, self._rate, self.dt)
 
-    def turns_back(self, levels: Sequence[Sequence[Term]], optima: list[Array]) -> bool:
+    def turns_back(self, optima: list[Array]) -> bool:
         """Return whether V may rise for what preserves its direction, at v_k (n,) of each level.
 
         Nor is a direction kept near a singularity, where its joints rush and it hardly moves.
@@ -84,7 +101,7 @@ class Yielding:
         if not self.still:
             return False
         first = 1 if self.softened else 0
-        for terms, v in zip(levels, optima[first:], strict=False):
+        for terms, v in zip(self._levels, optima[first:], strict=False):
             preserved = [t for t in terms if t.preserve and t in self._curvature.exact]
             if not preserved:
                 continue
@@ -113,9 +130,7 @@ class Yielding:
         missed = [rows @ v - rate for rows, rate in map(self._exact_rows, self.bending)]
         return float(np.linalg.norm(np.concatenate(missed)))
 
-    def spare(
-        self, asked: Sequence[Sequence[Term]], levels: list[Level], optima: list[Array]
-    ) -> Array:
+    def spare(self, levels: list[Level], optima: list[Array]) -> Array:
         """Return v (n,) with less of what lower levels cost those above where those are singular.
 
         With v_k the optimum of level k, what lower ones do in its null space, u = v − v_k, costs it
@@ -123,11 +138,10 @@ class Yielding:
         that are not at their bounds. u is cut to where dt uᵀCu ≤ 0.005 (S ẋ)ᵀ W (v_k − v_k−1).
 
         Args:
-            asked: The terms of the levels, the highest first.
-            levels: What all levels ask for, that of the softened hard tasks first.
+            levels: What they ask for, that of the softened hard tasks first.
             optima: v_k (n,) of each level that was solved.
         """
-        parts = [*([self.bending] if self.softened else []), *asked]
+        parts = [*([self.bending] if self.softened else []), *self._levels]
         v, dt = optima[-1], self.dt
         befores = [np.zeros(self._dofs.size), *optima]
         steps = list(zip(parts, levels, optima[:-1], befores, strict=False))
@@ -152,12 +166,16 @@ class Yielding:
     def root(self, term: Term) -> Array:
         """Return S (r, rows) of a term as the levels have it, B = SᵀS."""
         softened = term.hard and term in self._curvature.exact
-        root = square_root(self._curvature.exact[term][0] if softened else self._leveled(term))
-        root = np.diag(root) if root.ndim == 1 else root
+        root = _full_root(self._curvature.exact[term] if softened else self._leveled(term))
         return root[np.any(root != 0.0, axis=1)] if term.joint else root
 
     def _exact_rows(self, term: Term) -> tuple[Array, Array]:
         """Return S J (r, n) and S ẋ (r,) of a term that no cost draws, for what of it counts."""
-        part, root = self._evaluation.rows_of([term]), square_root(self._curvature.exact[term][0])
-        root = np.diag(root) if root.ndim == 1 else root
+        part, root = self._evaluation.rows_of([term]), _full_root(self._curvature.exact[term])
         return root @ self._evaluation.jacobian[part][:, self._dofs], root @ self._rate[part]
+
+
+def _full_root(weight: Array) -> Array:
+    """Return S (rows, rows) with B = SᵀS."""
+    root = square_root(weight)
+    return np.diag(root) if root.ndim == 1 else root

@@ -12,7 +12,7 @@ import numpy as np
 
 from rmrc.config.base import Direction, Frame, NonNegative
 from rmrc.problem.frames import FrameHandle, resolve
-from rmrc.problem.tasks.base import Array, GainedTask, HardTask, Way, weight_array
+from rmrc.problem.tasks.base import Array, BendingTerm, GainedTask, HardTask, Way, weight_array
 from rmrc.problem.tasks.mink_tasks import MinkTerm
 
 RIGHT = math.sqrt(2.0)
@@ -120,7 +120,7 @@ class PointingTask(HardTask, GainedTask):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PointingTerm(MinkTerm):
+class PointingTerm(MinkTerm, BendingTerm):
     """Rows e = ρ(θ) (d − a)/‖d − a‖ for an axis a and the direction d that it is to have.
 
     Both are unit vectors in the frame's own coordinates, θ the angle between them. Up to a right
@@ -129,8 +129,6 @@ class PointingTerm(MinkTerm):
     """
 
     decisive: ClassVar[bool] = True
-    bends: ClassVar[bool] = True
-
     frame: FrameHandle
     axis: Array
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 import mink
 import mujoco
@@ -61,8 +61,6 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
     e = −log(T_tf) and J = Jl⁻¹(e) (J_f − Ad(T_fr) J_r), for the frame f, the root r and the
     target t in the root's coordinates.
     """
-
-    bends: ClassVar[bool] = True
 
     frame: FrameHandle
     root: FrameHandle
