@@ -109,8 +109,7 @@ class _Compiler:
             for term in terms
             if isinstance(term, KineticEnergyTerm)
         )
-        strict = config.priority == "strict"
-        solver, timeout = config.solver, config.timeout
+        strict, solver, timeout = config.priority == "strict", config.solver, config.timeout
         return Problem(
             config=config,
             model=model,
