@@ -61,7 +61,10 @@ def run() -> Run:
     joints = [hinge("shoulder", 0, 0), hinge("elbow", 1, 1)]
     run = fabricated({"nq": 2, "nv": 2, "joints": joints}, steps=250)
     rising = np.linspace([0.0, 0.0], [-1.0, -1.0], 250)
-    tasks = [{"type": "frame", "frame": {"site": "hand"}}, {"type": "posture"}]
+    tasks = [
+        {"name": "hand", "type": "frame", "frame": {"site": "hand"}},
+        {"name": "posture", "type": "posture"},
+    ]
     config = {"scene": "arm.xml", "tasks": tasks}
     return replace(run, q=rising, manifest=run.manifest | {"config": config})
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from pydantic.json_schema import SkipJsonSchema
 
 from rmrc.config.base import NameOf
 
@@ -26,11 +27,16 @@ def is_model(annotation: Any) -> bool:
 
 
 def members(annotation: Any) -> tuple[Any, ...]:
-    """Return what a union is of, None left out; of anything else, nothing."""
+    """Return what a union is of, without None and what no file can say; of anything else, nothing.
+    """
     kind, _ = bare(annotation)
     if get_origin(kind) not in (Union, UnionType):
         return ()
-    return tuple(member for member in get_args(kind) if member is not NoneType)
+    return tuple(
+        member
+        for member in get_args(kind)
+        if member is not NoneType and SkipJsonSchema() not in bare(member)[1]
+    )
 
 
 def optional(annotation: Any) -> Any:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -14,8 +15,9 @@ from pydantic import (
     model_validator,
 )
 
-FrameKind = Literal["site", "body", "geom"]
-FRAME_KINDS: tuple[FrameKind, ...] = ("site", "body", "geom")
+from rmrc.model.source import FrameKind, Offset
+
+FRAME_KINDS = ("site", "body", "geom")
 
 # Eigenvalues of a weight matrix down to this share of the largest count as zero, not negative.
 SEMIDEFINITE_TOLERANCE = 1e-9
@@ -25,7 +27,15 @@ LARGEST_NUMBER = 1e100
 
 
 NameKind = Literal[
-    "site", "body", "geom", "joint", "keyframe", "equality", "geom or body", "mocap body"
+    "site",
+    "body",
+    "geom",
+    "joint",
+    "keyframe",
+    "equality",
+    "geom or body",
+    "mocap body",
+    "site or body or geom",
 ]
 
 
@@ -171,6 +181,15 @@ MocapName = Annotated[str, NameOf("mocap body")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_\-]*$")]
 
 
+class FrameOffset(Model):
+    """Where a frame is, as seen from one of the model's."""
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """x, y, z in m, along the axes of that frame."""
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """w, x, y, z; normalised on entry."""
+
+
 class Frame(Model):
     """A frame of the model: exactly one of a site, a body or a geom, by name."""
 
@@ -180,22 +199,54 @@ class Frame(Model):
     """Name of a body."""
     geom: Annotated[str, NameOf("geom")] | None = None
     """Name of a geom."""
+    named: Annotated[str, NameOf("site or body or geom")] | None = None
+    """Name of a site, a body or a geom that is the only one of its name; a text alone means this,
+    as in `frame: tool0`."""
+    offset: FrameOffset | None = None
+    """How far the frame is displaced, as the tip of a tool that the model lacks."""
 
     @model_validator(mode="after")
     def _exactly_one(self) -> "Frame":
-        if sum(getattr(self, kind) is not None for kind in FRAME_KINDS) != 1:
+        if sum(getattr(self, kind) is not None for kind in (*FRAME_KINDS, "named")) != 1:
             raise ValueError("name exactly one of site, body and geom, as in {site: hand}")
         return self
 
     @property
-    def kind(self) -> FrameKind:
-        """Which of the three it is."""
-        return next(kind for kind in FRAME_KINDS if getattr(self, kind) is not None)
+    def kind(self) -> FrameKind | None:
+        """Which of the three it is; None where only the model can say."""
+        return next((kind for kind in FRAME_KINDS if getattr(self, kind) is not None), None)
 
     @property
     def name(self) -> str:
         """The name of the site, body or geom."""
-        return getattr(self, self.kind)
+        return getattr(self, self.kind or "named")
+
+    @property
+    def displaced(self) -> Offset | None:
+        """The offset, as the scene takes it, if there is one."""
+        if self.offset is None:
+            return None
+        return Offset(self.kind, self.name, self.offset.position, self.offset.quaternion)
+
+
+def _frame(value: "str | Frame") -> Frame:
+    return Frame(named=value) if isinstance(value, str) else value
+
+
+if TYPE_CHECKING:
+    FrameName = Frame
+else:
+    FrameName = Annotated[
+        Frame | Annotated[str, NameOf("site or body or geom")], AfterValidator(_frame)
+    ]
+    """A frame, or the name of one alone."""
+
+
+class Subtree(Model):
+    """A body and all that hangs on it."""
+
+    subtree: Annotated[str, NameOf("body")]
+    """Name of the body."""
 
 
 class Pose(Model):

@@ -157,7 +157,7 @@ class _Fault:
 def _missing(fault: _Fault) -> str:
     if fault.model is None:
         return _wrong_length(fault)
-    says = descriptions(fault.model).get(fault.last, "").rstrip(".")
+    says = " ".join(descriptions(fault.model).get(fault.last, "").split()).rstrip(".")
     if says[1:2].islower() or says[1:2] == " ":
         says = says[0].lower() + says[1:]
     return f"the key '{fault.last}' is missing" + (f": {says}" if says else "")

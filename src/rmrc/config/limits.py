@@ -6,7 +6,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from rmrc.config.base import (
     Direction,
-    Frame,
+    FrameName,
     JointName,
     Model,
     Name,
@@ -88,7 +88,7 @@ class SpeedLimit(Model):
 class WorkspacePlane(Model):
     """A plane that the origin of a frame stays in front of: nᵀp ≥ offset."""
 
-    frame: Frame
+    frame: FrameName
     """The frame."""
     normal: Direction
     """Normal n of the plane, towards the allowed side, in the world."""

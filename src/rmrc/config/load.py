@@ -5,7 +5,7 @@ from os.path import normpath
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from rmrc.config.annotations import tagged
 from rmrc.config.document import Document
@@ -16,9 +16,11 @@ from rmrc.config.names import disagreements, unknown_names
 from rmrc.config.origins import annotated
 from rmrc.config.overrides import apply, parse_override, parse_sweep, swept
 from rmrc.config.read import read
+from rmrc.config.scene import SceneValue, source_of
 from rmrc.config.stacks import expand
 from rmrc.errors import ModelError
-from rmrc.problem.scene import load_model
+from rmrc.model.scene import load_scene
+from rmrc.problem.scene import scene_of
 from rmrc.problem.tasks import Task
 
 __all__ = ["load", "parse_override", "parse_sweep", "show", "swept"]
@@ -55,7 +57,7 @@ def load(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Config
     said = {mistake.location for mistake in mistakes}
     if complete:
         mistakes += [mistake for mistake in follow_ups if mistake.location not in said]
-    mistakes += _model_mistakes(data, folder)
+    mistakes += _model_mistakes(data, folder, config)
     if mistakes or config is None:
         raise config_error(mistakes, document)
     return config.rooted(folder, document)
@@ -86,13 +88,16 @@ def _disagreements(data: dict[str, Any]) -> list[Mistake]:
     return disagreements(named, targets)
 
 
-def _model_mistakes(data: dict[str, Any], folder: Path) -> list[Mistake]:
+def _model_mistakes(data: dict[str, Any], folder: Path, config: Config | None) -> list[Mistake]:
     """Return the names that the scene's model does not have, or why there is no model."""
-    scene = data.get("scene")
-    if not isinstance(scene, str):
-        return []
     try:
-        model = load_model(scene, folder)
+        if config is not None:
+            scene = scene_of(config.rooted(folder))
+        else:
+            value = TypeAdapter(SceneValue).validate_python(data.get("scene"))
+            scene = load_scene(source_of(value), folder)
+    except ValidationError:
+        return []
     except (ModelError, OSError, RuntimeError) as error:
         return [Mistake(("scene",), str(error))]
-    return unknown_names(Config, data, model)
+    return unknown_names(Config, data, scene.model)

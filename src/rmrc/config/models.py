@@ -30,6 +30,7 @@ from rmrc.config.document import NOWHERE, Document, Location, Place
 from rmrc.config.limits import LimitsModel
 from rmrc.config.mistakes import Disagreement
 from rmrc.config.names import disagreements
+from rmrc.config.scene import SceneValue
 from rmrc.control.paths import PathConfig
 from rmrc.problem.tasks import Task
 
@@ -149,11 +150,13 @@ class ActuationModel(Model):
 class Config(Model):
     """One run: a scene, a start, tasks with their targets, limits, a solver."""
 
-    scene: str
-    """A MJCF or URDF file, menagerie:NAME or menagerie:NAME/ENTRY."""
+    scene: SceneValue
+    """A MJCF, URDF or xacro file, menagerie:NAME[/ENTRY], robot_descriptions:NAME, or a mapping that
+    says more; from Python also a MjModel, a MjSpec or an XML text."""
     start: KeyframeName | Vector | dict[JointName, Number] | None = None
-    """Start configuration; by default the keyframe `home` where there is one, else qpos0. Mocap
-    bodies start where the keyframe has them that is named, else `home`."""
+    """Start configuration; by default the keyframe `home`, else the only keyframe, else qpos0 moved
+    inside the ranges. Mocap bodies start where that keyframe, or the one that is named, has them.
+    """
     dt: Positive = 0.002
     """Length of a step, s."""
     duration: Positive = 5.0

@@ -25,7 +25,7 @@ from rmrc.control.step import Step
 from rmrc.problem.configuration import free_dofs
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
-from rmrc.problem.scene import start_keyframe
+from rmrc.problem.start import start_keyframe
 
 Array = NDArray[np.float64]
 
@@ -286,7 +286,7 @@ def _at_start(model: mujoco.MjModel, problem: Problem) -> mujoco.MjData:
     data = mujoco.MjData(model)
     keyframe = start_keyframe(model, problem.config.start)
     if keyframe is not None:
-        mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
+        mujoco.mj_resetDataKeyframe(model, data, keyframe)
     data.qpos[:], data.qvel[:], data.time = problem.start, 0.0, 0.0
     mujoco.mj_forward(model, data)
     return data

@@ -20,13 +20,13 @@ class Assets:
     """The files that a spec names; what cannot be had is taken out of it, and remembered."""
 
     def __init__(self, spec: mujoco.MjSpec, files: Mapping[str, Path]):
-        self._spec, self._files = spec, files
+        self.spec, self._files = spec, files
         self.left_out: dict[str, str] = {}
         """Why each file is left out, by its name."""
 
     def settle(self, meshes: bool) -> None:
         """Convert what can be converted, and leave out what is missing; all meshes if asked."""
-        for mesh in list(self._spec.meshes):
+        for mesh in list(self.spec.meshes):
             if not mesh.file:
                 continue
             path = self._path(mesh, "meshdir")
@@ -45,41 +45,41 @@ class Assets:
     def leave_out(self, mesh: Any, why: str, name: str = "") -> None:
         """Take a mesh out of the spec, with all that is made of it."""
         self.left_out[name or Path(mesh.file).name or mesh.name] = why
-        self._delete(geom for geom in self._spec.geoms if geom.meshname == mesh.name)
-        self._spec.delete(mesh)
+        self._delete(geom for geom in self.spec.geoms if geom.meshname == mesh.name)
+        self.spec.delete(mesh)
 
     def _delete(self, geoms: Iterable[Any]) -> None:
         """Take geoms out, and the pairs that name them."""
         for geom in list(geoms):
-            for pair in list(self._spec.pairs):
+            for pair in list(self.spec.pairs):
                 if geom.name and geom.name in (pair.geomname1, pair.geomname2):
-                    self._spec.delete(pair)
-            self._spec.delete(geom)
+                    self.spec.delete(pair)
+            self.spec.delete(geom)
 
     def _settle_pictures(self) -> None:
         """Leave out textures and height fields that are missing."""
         gone = set()
-        for texture in list(self._spec.textures):
+        for texture in list(self.spec.textures):
             path = self._path(texture, "texturedir")
             if texture.file and not path.is_file():
                 self.left_out[path.name] = "missing"
                 gone.add(texture.name or path.stem)
-                self._spec.delete(texture)
-        for material in self._spec.materials if gone else ():
+                self.spec.delete(texture)
+        for material in self.spec.materials if gone else ():
             material.textures = ["" if name in gone else name for name in material.textures]
-        for field in list(self._spec.hfields):
+        for field in list(self.spec.hfields):
             path = self._path(field, "meshdir")
             if field.file and not path.is_file():
                 self.left_out[path.name] = "missing"
-                self._delete(geom for geom in self._spec.geoms if geom.hfieldname == field.name)
-                self._spec.delete(field)
+                self._delete(geom for geom in self.spec.geoms if geom.hfieldname == field.name)
+                self.spec.delete(field)
 
     def _path(self, asset: Any, folder: str) -> Path:
         if asset.file in self._files:
             return self._files[asset.file]
-        compiler = getattr(asset, "compiler", None) or self._spec.compiler
+        compiler = getattr(asset, "compiler", None) or self.spec.compiler
         inside = getattr(compiler, folder, "") or ""
-        return Path(self._spec.modelfiledir or ".") / inside / asset.file
+        return Path(self.spec.modelfiledir or ".") / inside / asset.file
 
     def notices(self) -> list[str]:
         """Return one notice of all that is left out."""

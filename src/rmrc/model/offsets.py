@@ -8,6 +8,12 @@ import numpy as np
 
 from rmrc.model.source import Offset
 
+_OBJECTS = {
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+}
+
 GROUP = 5
 """Of sites that nobody draws."""
 
@@ -18,9 +24,13 @@ def add_sites(spec: mujoco.MjSpec, offsets: Iterable[Offset]) -> None:
     One of a frame that the model does not have is left out; who resolves it says so.
     """
     for offset in dict.fromkeys(offsets):
-        holder: Any = getattr(spec, offset.kind)(offset.frame)
+        kinds = [offset.kind] if offset.kind else ["site", "body", "geom"]
+        holders: list[Any] = [getattr(spec, kind)(offset.frame) for kind in kinds]
+        kind, holder = next(
+            ((k, h) for k, h in zip(kinds, holders, strict=True) if h is not None), (None, None)
+        )
         if holder is not None:
-            body = holder if offset.kind == "body" else holder.parent
+            body = holder if kind == "body" else holder.parent
             body.add_site(name=offset.name, group=GROUP)
 
 
@@ -31,10 +41,11 @@ def place_sites(model: mujoco.MjModel, offsets: Iterable[Offset]) -> None:
         if site < 0:
             continue
         origin, turn = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-        if offset.kind == "site":
-            origin, turn = model.site(offset.frame).pos, model.site(offset.frame).quat
-        elif offset.kind == "geom":
-            origin, turn = model.geom(offset.frame).pos, model.geom(offset.frame).quat
+        kinds = [offset.kind] if offset.kind else ["site", "body", "geom"]
+        kind = next(k for k in kinds if mujoco.mj_name2id(model, _OBJECTS[k], offset.frame) >= 0)
+        if kind != "body":
+            frame = getattr(model, kind)(offset.frame)
+            origin, turn = frame.pos, frame.quat
         mujoco.mju_rotVecQuat(model.site_pos[site], np.array(offset.position), turn)
         model.site_pos[site] += origin
         mujoco.mju_mulQuat(model.site_quat[site], turn, np.array(offset.quaternion))

@@ -23,8 +23,8 @@ _ELEMENT = re.compile(r"Element name '([^']*)'")
 class Repairs:
     """Compiles a spec; where MuJoCo refuses what kinematics does not need, repairs it."""
 
-    def __init__(self, spec: mujoco.MjSpec, assets: Assets):
-        self._spec, self._assets = spec, assets
+    def __init__(self, assets: Assets):
+        self._assets = assets
         self._inertias: dict[str, None] = {}
         self._keys: dict[str, None] = {}
         self._balanced = False
@@ -39,8 +39,9 @@ class Repairs:
         """
         for _ in range(MOST_REPAIRS):
             try:
-                return self._spec.compile()
+                return self._assets.spec.compile()
             except ValueError as error:
+                self._assets.spec = self._assets.spec.copy()  # the error sticks to the other
                 if not self._repaired(str(error)):
                     raise
         raise ValueError(f"more than {MOST_REPAIRS} repairs are needed")
@@ -75,7 +76,7 @@ class Repairs:
         if self._balanced:
             return False
         self._balanced = True
-        for body in self._spec.bodies:
+        for body in self._assets.spec.bodies:
             if not body.explicitinertial:
                 continue
             full = np.array(body.fullinertia, dtype=float)
@@ -99,7 +100,7 @@ class Repairs:
     def _weigh(self, name: str) -> bool:
         """Give bodies that move and have no mass, or no inertia, a little."""
         found: list[str] = []
-        for body in self._spec.bodies:
+        for body in self._assets.spec.bodies:
             light = body.explicitinertial and (
                 body.mass < LEAST_INERTIA or not _inertia_of(body).any()
             )
@@ -121,10 +122,10 @@ class Repairs:
 
     def _drop_key(self, name: str) -> bool:
         """Leave a keyframe out that does not fit the model."""
-        for key in list(self._spec.keys):
+        for key in list(self._assets.spec.keys):
             if key.name == name:
                 self._keys[name or "(without a name)"] = None
-                self._spec.delete(key)
+                self._assets.spec.delete(key)
                 return True
         return False
 
@@ -133,10 +134,10 @@ class Repairs:
         if not re.search(r"mesh|face|vert|volume|file|STL|OBJ|normal|qhull", message):
             return None
         quoted = re.findall(r"'([^']*)'", message)
-        for mesh in self._spec.meshes:
+        for mesh in self._assets.spec.meshes:
             if mesh.name and mesh.name == name or mesh.file and mesh.file in quoted:
                 return mesh
-        for mesh in self._spec.meshes:
+        for mesh in self._assets.spec.meshes:
             if mesh.name and mesh.name in quoted:
                 return mesh
         return None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import mujoco
 import numpy as np
@@ -125,7 +126,7 @@ class _Part:
 
 def _compiled(source: Source, root: Path, offsets: tuple[Offset, ...]) -> Scene:
     part = _prepared(source, root)
-    spec, repairs = part.spec, Repairs(part.spec, part.assets)
+    spec, repairs = part.spec, Repairs(part.assets)
     add_sites(spec, offsets)
     for key in part.keyframes:
         spec.add_key(name=key.name, time=key.time)
@@ -174,8 +175,11 @@ def _read(source: Source, root: Path) -> _Part:
         return _of_text(source.file.encode(), "the XML text", root / "scene.xml", source, root)
     source, path = located(source, root)
     if path.suffix != ".xacro" and root_tag(path) != "robot":
-        with _explained(path.name):
-            return _part(mujoco.MjSpec.from_file(str(path)), path.name)
+        heard: list[str] = []
+        with _warnings(heard), _explained(path.name):
+            part = _part(mujoco.MjSpec.from_file(str(path)), path.name)
+        part.notices += heard
+        return part
     return _of_text(path.read_bytes(), path.name, path, source, root)
 
 
@@ -310,7 +314,10 @@ def _warnings(said: list[str]) -> Iterator[None]:
     before, heard = mujoco.get_mju_user_warning(), []
     mujoco.set_mju_user_warning(heard.append)
     try:
-        yield
+        with catch_warnings(record=True) as caught:
+            simplefilter("always")
+            yield
     finally:
         mujoco.set_mju_user_warning(before)
+        heard += [str(warning.message) for warning in caught]
         said += [" ".join(text.split()) for text in dict.fromkeys(heard)]

@@ -42,7 +42,8 @@ class Source:
 class Offset:
     """A frame that is displaced from one of the model's."""
 
-    kind: FrameKind
+    kind: FrameKind | None
+    """None where the name says it."""
     frame: str
     position: Vector
     quaternion: Vector
@@ -52,4 +53,4 @@ class Offset:
         """The name of the site that stands for it."""
         shift = ", ".join(f"{value:g}" for value in self.position)
         turn = ", ".join(f"{value:.6g}" for value in self.quaternion)
-        return f"{self.kind} {self.frame} + [{shift}; {turn}]"
+        return f"{self.kind or 'frame'} {self.frame} + [{shift}; {turn}]"

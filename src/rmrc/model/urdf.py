@@ -205,6 +205,9 @@ class _Reader:
             raise self._fail(joint, f"joint '{name}' has an axis of zero length")
         if kind == "floating":
             self._float(name, joint)
+        elif kind in ("spherical", "ball"):
+            for limit in joint.findall("limit"):
+                joint.remove(limit)  # its ends are no angles of a ball joint
         elif kind in _SCALAR:
             self._limit(name, joint, kind, where)
 
@@ -235,6 +238,8 @@ class _Reader:
         if effort <= 0.0:
             limit.attrib.pop("effort", None)
         if kind == "continuous":
+            for key in ("lower", "upper"):
+                limit.attrib.pop(key, None)
             return
         soft_low = numbers(safety, "soft_lower_limit", (low,), where)[0]
         soft_high = numbers(safety, "soft_upper_limit", (high,), where)[0]

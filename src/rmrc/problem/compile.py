@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config
 from rmrc.errors import ModelError, SolverError
+from rmrc.model.scene import Scene
 from rmrc.problem.configuration import (
     dof_of_joint,
-    normalized,
-    resolve_configuration,
     turning_dofs,
 )
 from rmrc.problem.limits.extents import resolution, size
@@ -25,7 +24,8 @@ from rmrc.problem.limits.joints import compile_box, select
 from rmrc.problem.limits.rows import compile_barriers, compile_speeds
 from rmrc.problem.objects import Objects, bodies_of_joints, claimed_by_mink, find_objects
 from rmrc.problem.problem import Problem
-from rmrc.problem.scene import load_model, place_mocap_bodies, start_keyframe
+from rmrc.problem.scene import scene_of
+from rmrc.problem.start import place_mocap_bodies, start_configuration
 from rmrc.problem.tasks.base import FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
@@ -84,12 +84,13 @@ class _Compiler:
         self, mink_tasks: tuple[BaseTask, ...], mink_limits: tuple[mink.Limit, ...]
     ) -> Problem:
         config, mistakes = self._config, self._mistakes
-        model, start = self._model_at_start()
+        scene, start, begins = self._scene_at_start()
+        model = scene.model
         objects = self._objects(model, mink_tasks)
         terms = self._terms(model, start, objects)
         dofs = self._try(("dofs",), lambda: _dofs(objects, config.dofs))
         metric = self._try(("metric",), lambda: _metric(model, config))
-        box, notices = compile_box(objects, config.limits, mistakes)
+        box, notices = compile_box(objects, config.limits, mistakes, scene.velocity)
         for term in terms:
             if isinstance(term, FreezeTerm):
                 box.velocity[term.dofs] = 0.0
@@ -126,6 +127,8 @@ class _Compiler:
             strict=strict,
             box=select(box, dofs),
             notices=(
+                *begins,
+                *scene.notices,
                 *objects.notices(),
                 *notices,
                 *_damping_notices(config, bool(metric.any() or inertia)),
@@ -141,12 +144,15 @@ class _Compiler:
             mink_limits=mink_limits,
         )
 
-    def _model_at_start(self) -> tuple[mujoco.MjModel, Array]:
-        """Return the model and the start configuration, without which nothing else is tried."""
+    def _scene_at_start(self) -> tuple[Scene, Array, list[str]]:
+        """Return the scene, the start configuration, without which nothing else is tried, and
+        what to say of it.
+        """
         config = self._config
-        model = self._try(("scene",), lambda: load_model(config.scene, config.root))
+        scene = self._try(("scene",), lambda: scene_of(config))
         self._stop_on_mistakes()
-        assert model is not None
+        assert scene is not None
+        model = scene.model
         if not model.nv:
             self._mistakes.append(Mistake(("scene",), "this model has no joints: nothing can move"))
             self._stop_on_mistakes()
@@ -156,14 +162,16 @@ class _Compiler:
                     ("duration",), f"a run has at most {MOST_STEPS:,} steps of dt; make dt longer"
                 )
             )
-        start = self._try(("start",), lambda: start_configuration(model, config))
+        start = self._try(
+            ("start",), lambda: start_configuration(scene, config.start, config.limits)
+        )
         self._stop_on_mistakes()
         assert start is not None
         # Distances of smooth geoms are measured no more finely than this.
         model.opt.ccd_tolerance = min(model.opt.ccd_tolerance, resolution(model))
         self._try(("start",), lambda: place_mocap_bodies(model, config.start))
         self._stop_on_mistakes()
-        return model, start
+        return scene, *start
 
     def _objects(self, model: mujoco.MjModel, mink_tasks: tuple[BaseTask, ...]) -> Objects:
         """Return what is not the robot; a name that is unknown is a mistake of its task's."""
@@ -238,17 +246,6 @@ def _evaluated(task: BaseTask, model: mujoco.MjModel, start: Array) -> None:
         task.compute_qp_objective(configuration)
     except Exception as failure:  # mink's own errors, and those of a user's task
         raise ValueError(f"mink's {type(task).__name__} cannot be evaluated: {failure}") from None
-
-
-def start_configuration(model: mujoco.MjModel, config: Config) -> Array:
-    """Return the configuration (nq,) that a run starts from.
-
-    Raises:
-        ModelError: If the model has no such keyframe or joint.
-        ValueError: If a list has the wrong length.
-    """
-    base = resolve_configuration(model, start_keyframe(model, None), model.qpos0)
-    return normalized(model, resolve_configuration(model, config.start, base))
 
 
 def _dofs(objects: Objects, joints: tuple[str, ...] | None) -> NDArray[np.intp]:

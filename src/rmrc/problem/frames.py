@@ -7,8 +7,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.base import Frame, FrameKind
+from rmrc.config.base import FRAME_KINDS, Frame
 from rmrc.errors import ModelError, unknown_name
+from rmrc.model.source import FrameKind
 from rmrc.problem.lie import pose_of
 
 Array = NDArray[np.float64]
@@ -123,4 +124,24 @@ def resolve(model: mujoco.MjModel, frame: Frame) -> FrameHandle:
     Raises:
         ModelError: If the model has no such frame.
     """
-    return FrameHandle(frame.kind, find(model, frame.kind, frame.name))
+    kind = frame.kind or _kind_of(model, frame.name)
+    place = find(model, kind, frame.name)
+    if frame.displaced is not None:
+        return FrameHandle("site", find(model, "site", frame.displaced.name))
+    return FrameHandle(kind, place)
+
+
+def _kind_of(model: mujoco.MjModel, name: str) -> FrameKind:
+    """Return whether a name is a site's, a body's or a geom's.
+
+    Raises:
+        ModelError: If there is none of that name, or more than one.
+    """
+    kinds = [kind for kind in FRAME_KINDS if mujoco.mj_name2id(model, OBJECTS[kind], name) >= 0]
+    if len(kinds) > 1:
+        choices = " or ".join(f"{{{kind}: {name}}}" for kind in kinds)
+        raise ModelError(f"'{name}' is the name of a {' and of a '.join(kinds)}: say {choices}")
+    if not kinds:
+        known = [known for kind in FRAME_KINDS for known in names(model, kind)]
+        raise ModelError(unknown_name("site, body or geom", name, dict.fromkeys(known)))
+    return kinds[0]

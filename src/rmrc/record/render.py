@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.config.base import Frame
+from rmrc.config.models import Config
 from rmrc.errors import RmrcError
 from rmrc.problem.frames import resolve
-from rmrc.problem.scene import load_model, place_mocap_bodies
+from rmrc.problem.scene import scene_of
+from rmrc.problem.start import place_mocap_bodies
 from rmrc.record.run import Run
 
 Array = NDArray[np.float64]
@@ -87,9 +89,9 @@ def render(
         raise RmrcError("the run has no steps, so there is nothing to draw")
     pillow, size = _pillow(), size or SIZES[kind]
     if model is None:
-        config = run.manifest["config"]
-        model = load_model(config["scene"], Path(run.manifest["root"]))
-        place_mocap_bodies(model, config.get("start"))
+        config = Config.model_validate(run.manifest["config"]).rooted(Path(run.manifest["root"]))
+        model = scene_of(config).model
+        place_mocap_bodies(model, config.start)
     if model.nq != run.q.shape[1]:
         raise RmrcError(f"the model has {model.nq} coordinates and the run {run.q.shape[1]}")
     if not output.parent.is_dir():

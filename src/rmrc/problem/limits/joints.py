@@ -31,7 +31,10 @@ _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 
 
 def compile_box(
-    objects: Objects, limits: LimitsModel, mistakes: list[Mistake]
+    objects: Objects,
+    limits: LimitsModel,
+    mistakes: list[Mistake],
+    speeds: Mapping[str, float] | None = None,
 ) -> tuple[Box, list[str]]:
     """Return the limits of all dofs, and what a user should know of those of the robot.
 
@@ -39,6 +42,7 @@ def compile_box(
         objects: What of the model is not the robot.
         limits: The configuration's limits.
         mistakes: Where to add what does not fit the model.
+        speeds: Velocity limits of the scene's file by joint, rad/s or m/s.
     """
     model, notices = objects.model, []
     lower, upper = _positions(objects, limits, notices, mistakes)
@@ -47,7 +51,7 @@ def compile_box(
         lower=lower,
         upper=upper,
         gain=1.0 if limits.position == "off" else limits.position.gain,
-        velocity=_velocities(objects, limits, notices, mistakes),
+        velocity=_velocities(objects, limits, speeds or {}, notices, mistakes),
         acceleration=_per_joint(objects, "acceleration", limits.acceleration, mistakes),
         jerk=_per_joint(objects, "jerk", limits.jerk, mistakes),
         step=np.full(model.nv, np.inf),
@@ -132,20 +136,26 @@ def _ranges(model: mujoco.MjModel, limits: LimitsModel) -> tuple[Array, list[_So
 def _positions(
     objects: Objects, limits: LimitsModel, notices: list[str], mistakes: list[Mistake]
 ) -> tuple[Array, Array]:
-    """Return q_min + margin and q_max − margin (nv,) of the robot's hinges and slides."""
+    """Return q_min + margin and q_max − margin (nv,) of the robot's hinges and slides.
+
+    A range of no width has no margin: it is where a joint has to stand.
+    """
     model, robot = objects.model, objects.robot_joints()
     lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
     if limits.position == "off":
         notices.append("position limits are off")
         return lower, upper
-    named, margin = limits.position.named, limits.position.margin
+    named = limits.position.named
     _check_names(objects, "position", named, mistakes)
     held, sources = _ranges(model, limits)
     for joint, (low, high) in zip(robot, held[robot], strict=True):
+        margin = limits.position.margin
         name, ball = joint_name(model, joint), joint_type(model, joint) == _BALL
         if ball and name in named and not 0.0 == low < high:
             message = f"'{name}' is a ball joint: its range is [0, its largest angle]"
             mistakes.append(Mistake(("limits", "position", name), message))
+        if low == high:
+            margin = 0.0
         if high - low < (1 if ball else 2) * margin:
             message = (
                 f"joint '{name}' has a range of {high - low:.3g}, too short for a margin of "
@@ -169,14 +179,21 @@ def _positions(
 
 
 def _velocities(
-    objects: Objects, limits: LimitsModel, notices: list[str], mistakes: list[Mistake]
+    objects: Objects,
+    limits: LimitsModel,
+    speeds: Mapping[str, float],
+    notices: list[str],
+    mistakes: list[Mistake],
 ) -> Array:
-    """Return v_max (nv,): as stated; else of the velocity actuators; else the default cap."""
+    """Return v_max (nv,): as stated for the joint; else the smaller one of the default and what
+    the file says; else of the velocity actuators; else the default cap.
+    """
     model = objects.model
     speed = _per_joint(objects, "velocity", limits.velocity, mistakes)
     if limits.velocity == "off":
         notices.append("velocity limits are off")
     else:
+        _take_speeds(objects, limits.velocity.named, speeds, speed, notices)
         controls = _velocity_controls(model)
         unstated = [j for j in objects.robot_joints() if joint_type(model, j) != _FREE]
         unstated = [j for j in unstated if np.isinf(speed[model.jnt_dofadr[j]])]
@@ -207,6 +224,25 @@ def _velocities(
     if limits.base != "off" and not free.size:
         notices.append("this model has no floating base that limits.base could hold")
     return speed
+
+
+def _take_speeds(
+    objects: Objects,
+    named: Mapping[str, float],
+    speeds: Mapping[str, float],
+    speed: Array,
+    notices: list[str],
+) -> None:
+    """Lower v_max (nv,) to what the file says of the joints that the configuration leaves out."""
+    model, taken = objects.model, []
+    for joint, value in _known(model, speeds).items():
+        dofs = joint_dofs(model, joint)
+        if not objects.joints[joint] and model.joint(joint).name not in named:
+            if (value < speed[dofs]).any():
+                taken.append(joint)
+            speed[dofs] = np.minimum(speed[dofs], value)
+    if taken:
+        notices.append(f"velocity limits from the scene's file: {listed(model, taken)}")
 
 
 def _per_joint(objects: Objects, key: str, limit: PerJoint | Off, mistakes: list[Mistake]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ValidationInfo, field_validator
 
-from rmrc.config.base import Frame, Model, Positive, Weight
+from rmrc.config.base import FrameName, Model, Positive, Weight
 from rmrc.problem.frames import FrameHandle, resolve
 from rmrc.problem.lie import inverse_left_jacobian, inverse_multiply, log_motion, pose_of
 from rmrc.problem.tasks.base import (
@@ -93,7 +93,7 @@ class FrameTask(PoseTask):
     """Bring a frame to a target pose in the world."""
 
     type: Literal["frame"] = "frame"
-    frame: Frame
+    frame: FrameName
     """The frame that moves."""
     axes: Literal["body", "world"] = "body"
     """The axes of the error and of B: the frame's own, or the world's."""

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.base import Frame, NonNegative
+from rmrc.config.base import FrameName, NonNegative
 from rmrc.problem.configuration import QPOS_WIDTH, free_dofs, joint_type
 from rmrc.problem.frames import FrameHandle, resolve
 from rmrc.problem.tasks.base import Array, FieldError, GainedTask, Term
@@ -48,7 +48,7 @@ class ManipulabilityTask(GainedTask):
     type: Literal["manipulability"] = "manipulability"
     B: NonNegative = 1.0
     """Weight of the squared difference from the wanted joint rates, a number."""
-    frame: Frame
+    frame: FrameName
     """The frame that is to stay able to move."""
     part: Part = "position"
     """The rows of J: how the joints move the frame's origin, how they turn it, or both."""

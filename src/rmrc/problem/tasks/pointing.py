@@ -10,7 +10,7 @@ import mink
 import mujoco
 import numpy as np
 
-from rmrc.config.base import Direction, Frame, NonNegative
+from rmrc.config.base import Direction, FrameName, NonNegative
 from rmrc.problem.frames import FrameHandle, resolve
 from rmrc.problem.tasks.base import Array, BendingTerm, GainedTask, HardTask, Way, weight_array
 from rmrc.problem.tasks.mink_tasks import MinkTerm
@@ -102,7 +102,7 @@ class PointingTask(HardTask, GainedTask):
 
     B: NonNegative = 1.0
     """Weight of the squared difference of the two unit vectors, a number."""
-    frame: Frame
+    frame: FrameName
     """The frame that turns."""
     axis: Direction = (0.0, 0.0, 1.0)
     """The axis that points, in the frame's own coordinates."""

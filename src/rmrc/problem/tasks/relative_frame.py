@@ -8,7 +8,7 @@ import mink
 import mujoco
 import numpy as np
 
-from rmrc.config.base import Frame
+from rmrc.config.base import FrameName
 from rmrc.problem.frames import FrameHandle, resolve
 from rmrc.problem.lie import (
     adjoint,
@@ -30,9 +30,9 @@ class RelativeFrameTask(PoseTask):
     """Bring a frame to a target pose in the coordinates of another frame of the robot."""
 
     type: Literal["relative_frame"] = "relative_frame"
-    frame: Frame
+    frame: FrameName
     """The frame that moves."""
-    root: Frame
+    root: FrameName
     """The frame in whose coordinates the target is given."""
 
     def claimed(self, model: mujoco.MjModel) -> list[int]:
