@@ -284,6 +284,25 @@ class BoundRows {
     rows_->add(std::make_unique<BallRange>(std::move(made), gain, push, rows_->mujoco().nv));
   }
 
+  using TendonArgument =
+      std::tuple<double, double, std::vector<int>, std::vector<int>, std::vector<double>>;
+
+  void add_tendons(const std::vector<TendonArgument>& ends, double gain, double push) {
+    require_open();
+    std::vector<TendonEnd> made;
+    for (const auto& [sign, bound, coordinates, dofs, coefficients] : ends) {
+      for (const int coordinate : coordinates) {
+        require_part(coordinate, 1, rows_->mujoco().nq, "coordinate");
+      }
+      require_dofs(dofs, rows_->mujoco().nv);
+      if (dofs.size() != coordinates.size() || dofs.size() != coefficients.size()) {
+        throw std::invalid_argument("a tendon has a coordinate, a dof and a number for each joint");
+      }
+      made.push_back({sign, bound, coordinates, dofs, coefficients});
+    }
+    rows_->add(std::make_unique<TendonRange>(std::move(made), gain, push, rows_->mujoco().nv));
+  }
+
   std::vector<std::tuple<int, int>> blocks() const {
     std::vector<std::tuple<int, int>> found;
     for (const Block& block : rows_->blocks()) found.emplace_back(block.first, block.count);
@@ -381,6 +400,7 @@ void bind_rows(nb::module_& m) {
       .def("add_workspace", &BoundRows::add_workspace, "planes"_a, "gain"_a, "push"_a,
            "twist"_a.noconvert())
       .def("add_balls", &BoundRows::add_balls, "balls"_a, "gain"_a, "push"_a)
+      .def("add_tendons", &BoundRows::add_tendons, "ends"_a, "gain"_a, "push"_a)
       .def(
           "update",
           [](BoundRows& bound, const Reading& lb, const Reading& ub, double dt) {

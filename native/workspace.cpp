@@ -106,4 +106,40 @@ double BallRange::reach(int id, const double* step, double) const {
   return std::sqrt(dot3(turn, turn));
 }
 
+TendonRange::TendonRange(std::vector<TendonEnd> ends, double gain, double push, int nv)
+    : Barrier(static_cast<int>(ends.size()), gain, push), ends_(std::move(ends)), nv_(nv) {}
+
+void TendonRange::near(const Kinematics& now, const double*, double, Near& near) {
+  near.count = size();
+  for (int k = 0; k < size(); ++k) {
+    const TendonEnd& end = ends_[k];
+    double* slope = near.slope + static_cast<long>(k) * nv_;
+    std::fill_n(slope, nv_, 0.0);
+    for (std::size_t j = 0; j < end.dofs.size(); ++j) {
+      slope[end.dofs[j]] = end.sign * end.coefficients[j];
+    }
+    near.ids[k] = k;
+    near.distance[k] = distance(now, k);
+    near.drift[k] = 0.0;
+  }
+}
+
+double TendonRange::distance(const Kinematics& at, int id) const {
+  const TendonEnd& end = ends_[id];
+  double length = 0.0;
+  for (std::size_t j = 0; j < end.coordinates.size(); ++j) {
+    length += end.coefficients[j] * at.qpos[end.coordinates[j]];
+  }
+  return end.sign * (length - end.bound);
+}
+
+double TendonRange::reach(int id, const double* step, double) const {
+  const TendonEnd& end = ends_[id];
+  double sum = 0.0;
+  for (std::size_t j = 0; j < end.dofs.size(); ++j) {
+    sum += std::abs(end.coefficients[j] * step[end.dofs[j]]);
+  }
+  return sum;
+}
+
 }  // namespace rmrc

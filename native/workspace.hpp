@@ -57,4 +57,25 @@ class BallRange final : public Barrier {
   int nv_;
 };
 
+/// An end of the range of a tendon L = Σ c q: h = sign (L − bound).
+struct TendonEnd {
+  double sign, bound;
+  std::vector<int> coordinates, dofs;
+  std::vector<double> coefficients;
+};
+
+/// The ends of the ranges of fixed tendons: rmrc.problem.limits.tendon.TendonRange.
+class TendonRange final : public Barrier {
+ public:
+  TendonRange(std::vector<TendonEnd> ends, double gain, double push, int nv);
+
+  void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
+  double distance(const Kinematics& at, int id) const override;
+  double reach(int id, const double* step, double dt) const override;
+
+ private:
+  std::vector<TendonEnd> ends_;
+  int nv_;
+};
+
 }  // namespace rmrc

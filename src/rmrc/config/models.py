@@ -187,6 +187,9 @@ class Config(Model):
     """Ratio of the weights of a level and the one above it."""
     tolerance: ToleranceModel = ToleranceModel()
     """What `converged` means."""
+    equalities: Literal["hold", "off"] = "hold"
+    """The model's own active equality constraints that no `loop` task names, such as the `mimic` of
+    a URDF: `hold` keeps them as such a task would, `off` leaves them open."""
     dofs: Annotated[tuple[JointName, ...], Field(min_length=1)] | None = None
     """The joints that may move; by default all of the robot. A tree of joints is not the robot but
     an object where no actuator drives it, no task names a joint of it or has its frame on it, and

@@ -20,6 +20,7 @@ from rmrc.control.native_steps import Layout, build_stepper
 from rmrc.errors import SolverError
 from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.extents import dofs_of_bodies
+from rmrc.problem.limits.tendon import TendonRanges
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.axis_align import AxisAlignTerm
 from rmrc.problem.tasks.base import Term, square_root
@@ -98,6 +99,8 @@ def lacking(problem: Problem) -> list[str]:
         found.append(f"backend {config.solver.backend}")
     if config.solver.tolerance is not None:
         found.append("tolerance of a backend's")
+    if any(isinstance(limit, TendonRanges) and not limit.fixed for limit in problem.barriers):
+        found.append("range of a tendon with a path in space")
     return found
 
 

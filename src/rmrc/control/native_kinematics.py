@@ -13,6 +13,7 @@ from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.ball import BallRange
 from rmrc.problem.limits.barrier import Barrier
 from rmrc.problem.limits.collision import Collision
+from rmrc.problem.limits.tendon import TendonRange
 from rmrc.problem.limits.workspace import Workspace
 from rmrc.problem.objects import bodies_of_equality
 from rmrc.problem.problem import Problem
@@ -106,7 +107,7 @@ class Watched:
             case Workspace():
                 for plane in barrier.planes:
                     self.add_frame(plane.frame)
-            case BallRange():
+            case BallRange() | TendonRange():
                 pass
             case _:
                 raise TypeError(f"there is no {type(barrier).__name__} in C++")

@@ -15,6 +15,7 @@ from rmrc.problem.limits.ball import BallRange
 from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.collision import Collision
 from rmrc.problem.limits.extents import dofs_of_bodies
+from rmrc.problem.limits.tendon import TendonRange, described
 from rmrc.problem.limits.workspace import Workspace
 from rmrc.qp.program import QP
 from rmrc.qp.rows import Block, Rows
@@ -116,6 +117,9 @@ class NativeRows(Rows):
                 first, dof = model.jnt_qposadr[spec.joints], model.jnt_dofadr[spec.joints]
                 balls = list(zip(first.tolist(), dof.tolist(), spec.largest.tolist(), strict=True))
                 native.add_balls(balls, barrier.gain, barrier.push)
+            case TendonRange(spec=spec):
+                ends = described(self._problem.model, spec)
+                native.add_tendons(ends, barrier.gain, barrier.push)
             case _:
                 raise TypeError(f"there is no {type(barrier).__name__} in C++")
 

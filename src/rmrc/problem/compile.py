@@ -22,14 +22,20 @@ from rmrc.problem.configuration import (
 from rmrc.problem.limits.extents import resolution, size
 from rmrc.problem.limits.joints import compile_box, select
 from rmrc.problem.limits.rows import compile_barriers, compile_speeds
-from rmrc.problem.objects import Objects, bodies_of_joints, claimed_by_mink, find_objects
+from rmrc.problem.objects import (
+    Objects,
+    bodies_of_equality,
+    bodies_of_joints,
+    claimed_by_mink,
+    find_objects,
+)
 from rmrc.problem.problem import Problem
 from rmrc.problem.scene import scene_of
 from rmrc.problem.start import place_mocap_bodies, start_configuration
 from rmrc.problem.tasks.base import FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
-from rmrc.problem.tasks.loop import LoopTerm, equality_name
+from rmrc.problem.tasks.loop import LoopTask, LoopTerm, equality_name, held_by_default
 from rmrc.qp.backends import create
 
 Array = NDArray[np.float64]
@@ -37,6 +43,10 @@ Result = TypeVar("Result")
 
 MOST_STEPS = 10_000_000
 """Steps of a run, whose arrays are allocated at its start."""
+EQUALITIES = "equalities"
+"""The name of the term that holds the model's own equalities."""
+MOST_EQUALITIES = 6
+"""Equalities that a notice names."""
 LONGEST_STEP = 10.0
 """Most that a joint moves in a step beside distances that are kept, rad or m, and in lengths of a
 robot that is longer than 1 m: what a longer one could come to is not looked at."""
@@ -88,6 +98,7 @@ class _Compiler:
         model = scene.model
         objects = self._objects(model, mink_tasks)
         terms = self._terms(model, start, objects)
+        terms += self._held_by_default(model, start, objects, terms)
         dofs = self._try(("dofs",), lambda: _dofs(objects, config.dofs))
         metric = self._try(("metric",), lambda: _metric(model, config))
         box, notices = compile_box(objects, config.limits, mistakes, scene.velocity)
@@ -182,7 +193,27 @@ class _Compiler:
         ):
             with suppress(ModelError, ValueError):
                 claimed += claim()
-        return find_objects(model, claimed)
+        held = () if self._config.equalities == "off" else held_by_default(model)
+        return find_objects(model, claimed, [bodies_of_equality(model, i) for i in held])
+
+    def _held_by_default(
+        self, model: mujoco.MjModel, start: Array, objects: Objects, terms: tuple[Term, ...]
+    ) -> tuple[Term, ...]:
+        """Return the term of the equalities that no task names, if there are any."""
+        if self._config.equalities == "off":
+            return ()
+        named = {i for term in terms if isinstance(term, LoopTerm) for i in term.equalities}
+        held = [
+            i
+            for i in held_by_default(model)
+            if i not in named and not objects.bodies[bodies_of_equality(model, i)].any()
+        ]
+        if not held:
+            return ()
+        taken, name = {term.name for term in terms}, EQUALITIES
+        while name in taken:
+            name += "_"
+        return (LoopTask(name=name).term(model, start, tuple(held)),)
 
     def _try_solver(self) -> None:
         solver = self._config.solver
@@ -228,13 +259,19 @@ def _damping_notices(config: Config, metric: bool) -> list[str]:
 
 
 def _equality_notices(model: mujoco.MjModel, terms: tuple[Term, ...]) -> list[str]:
-    """Return which of the model's own equalities no task holds."""
+    """Return which of the model's own equalities are held, and which are not."""
     held = {i for term in terms if isinstance(term, LoopTerm) for i in term.equalities}
-    absent = np.setdiff1d(np.flatnonzero(model.eq_active0), list(held)).tolist()
-    return [
-        f"the model's equality constraint '{equality_name(model, equality)}' is not held"
-        for equality in absent
-    ]
+    active = np.flatnonzero(model.eq_active0).tolist()
+    lines = []
+    for ids, verdict in (
+        ([i for i in active if i in held], "held"),
+        ([i for i in active if i not in held], "not held"),
+    ):
+        if ids:
+            shown = ", ".join(f"'{equality_name(model, i)}'" for i in ids[:MOST_EQUALITIES])
+            more = f" and {len(ids) - MOST_EQUALITIES} more" if len(ids) > MOST_EQUALITIES else ""
+            lines.append(f"equality constraints of the model that are {verdict}: {shown}{more}")
+    return lines
 
 
 def _evaluated(task: BaseTask, model: mujoco.MjModel, start: Array) -> None:

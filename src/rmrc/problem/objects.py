@@ -70,19 +70,25 @@ class Objects:
         ]
 
 
-def find_objects(model: mujoco.MjModel, claimed: Iterable[int]) -> Objects:
+def find_objects(
+    model: mujoco.MjModel, claimed: Iterable[int], held: Iterable[Sequence[int]] = ()
+) -> Objects:
     """Return the trees of joints that no actuator drives and that nobody claims.
 
     A tree is what hangs on a child of the world. Where all would be objects, only those are that
     are a single free body; and where then still nothing would move, nothing is. What a `loop` task
-    holds together it names.
+    holds together it names; what is held by default to the robot moves with it.
 
     Args:
         model: The model.
         claimed: Bodies with a frame of a task's own or with a joint that a task or `dofs` names.
+        held: Bodies that each of the equalities holds together that are held by default.
     """
     trees = {int(root) for root in model.body_rootid[model.dof_bodyid]}
     robot = {int(model.body_rootid[body]) for body in (*claimed, *_driven(model))} & trees
+    together = [{int(model.body_rootid[body]) for body in bodies} & trees for bodies in held]
+    while joined := [one for one in together if one & robot and one - robot]:
+        robot.update(*joined)
     found = trees - robot
     if found == trees:
         found = {root for root in trees if _is_free_body(model, root)}

@@ -15,6 +15,7 @@ from rmrc.problem.limits.barrier import BarrierLimit
 from rmrc.problem.limits.collision import collision_pairs
 from rmrc.problem.limits.joints import held_ranges
 from rmrc.problem.limits.speed import FrameSpeed
+from rmrc.problem.limits.tendon import compile_tendons
 from rmrc.problem.limits.workspace import compile_workspace
 from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import FieldError, Term
@@ -33,6 +34,7 @@ def compile_barriers(
     model = objects.model
     found: list[BarrierLimit] = [
         *compile_balls(model, limits, dofs),
+        *compile_tendons(model, limits, dofs),
         *compile_workspace(model, limits.workspace, dofs, mistakes),
     ]
     if limits.collision != "off":

@@ -31,6 +31,7 @@ _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 _JOINT, _TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
 ROWS = {_CONNECT: 3, _WELD: 6, _JOINT: 1, _TENDON: 1}
 """Number of rows of each type of constraint."""
+_DISABLED = mujoco.mjtDisableBit.mjDSBL_EQUALITY | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
 TORQUE_SCALE = 10
 """Where a weld has its `torquescale` among its data."""
 
@@ -54,7 +55,12 @@ class LoopTask(ConstraintTask, WeightedTask):
         Raises:
             FieldError: If there is none, or one is not active or of a flexible body.
         """
-        equalities = self._found(model)
+        return self.term(model, start, self._found(model))
+
+    def term(
+        self, model: mujoco.MjModel, start: Array, equalities: tuple[int, ...]
+    ) -> "LoopTerm":
+        """Return the term of some constraints, by their ids."""
         scale, angular = zip(*(_true_units(model, i) for i in equalities), strict=True)
         return LoopTerm(
             **self.common(),
@@ -67,9 +73,7 @@ class LoopTask(ConstraintTask, WeightedTask):
 
     def _found(self, model: mujoco.MjModel) -> tuple[int, ...]:
         """Return the ids of the constraints that are meant."""
-        if model.opt.disableflags & (
-            mujoco.mjtDisableBit.mjDSBL_EQUALITY | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        ):
+        if model.opt.disableflags & _DISABLED:
             raise FieldError("equalities", "the model's options disable its equality constraints")
         named = dict.fromkeys(find(model, "equality", name) for name in self.equalities or ())
         found = tuple(named) or tuple(np.flatnonzero(model.eq_active0).tolist())
@@ -86,6 +90,17 @@ class LoopTask(ConstraintTask, WeightedTask):
                     "can be held: name those that are meant",
                 )
         return found
+
+
+def held_by_default(model: mujoco.MjModel) -> list[int]:
+    """Return the ids of the active constraints that can be held: all but those of flexes."""
+    if model.opt.disableflags & _DISABLED:
+        return []
+    return [
+        i
+        for i in np.flatnonzero(model.eq_active0).tolist()
+        if mujoco.mjtEq(int(model.eq_type[i])) in ROWS
+    ]
 
 
 def equality_name(model: mujoco.MjModel, equality: int) -> str:
