@@ -248,6 +248,9 @@ class Subtree(Model):
     subtree: Annotated[str, NameOf("body")]
     """Name of the body."""
 
+    def __str__(self) -> str:
+        return f"the subtree of {self.subtree}"
+
 
 class Pose(Model):
     """A position and an orientation, each optional: what is absent stays as it was."""

@@ -15,6 +15,7 @@ from rmrc.config.base import (
     Number,
     Positive,
     Share,
+    Subtree,
 )
 
 Off = Literal["off"]
@@ -99,19 +100,24 @@ class WorkspacePlane(Model):
 
 
 GeomName = Annotated[str, NameOf("geom or body")]
+Part = str | Subtree
+"""A geom, a body, a group, or all that hangs on a body."""
 
 
 class CollisionLimit(Model):
     """Pairs of geoms stay apart."""
 
-    pairs: tuple[tuple[str, str], ...] | Literal["all"] = "all"
-    """Pairs of geoms, bodies (all their geoms that collide) or `groups`; `all` is every pair that
+    pairs: tuple[tuple[Part, Part], ...] | Literal["all"] = "all"
+    """Pairs of geoms, bodies (all their geoms that collide), subtrees, as {subtree: left_base}, or
+    `groups`; `all` is every pair that
     MuJoCo would let collide and that the joints move relative to each other. Of `groups`, bodies
     and their parents and what the scene excludes are left out; pairs that are named stay."""
-    exclude: tuple[tuple[str, str], ...] = ()
+    exclude: tuple[tuple[Part, Part], ...] = ()
     """Pairs, named as in `pairs`, that are left out."""
-    groups: dict[Name, Annotated[tuple[GeomName, ...], Field(min_length=1)]] = Field(default={})
-    """Geoms and bodies under a name of their own."""
+    groups: dict[Name, Annotated[tuple[GeomName | Subtree, ...], Field(min_length=1)]] = Field(
+        default={}
+    )
+    """Geoms, bodies and subtrees under a name of their own."""
     d_min: NonNegative = 0.01
     """Least distance, m."""
     detect: Positive = 0.05

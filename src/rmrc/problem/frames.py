@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.base import FRAME_KINDS, Frame
+from rmrc.config.base import FRAME_KINDS, Frame, Subtree
 from rmrc.errors import ModelError, unknown_name
 from rmrc.model.source import FrameKind
 from rmrc.problem.lie import pose_of
@@ -65,6 +65,19 @@ def find(model: mujoco.MjModel, kind: str, name: str) -> int:
     if i < 0:
         raise ModelError(unknown_name(kind, name, names(model, kind)))
     return i
+
+
+def in_subtree(model: mujoco.MjModel, part: Subtree) -> NDArray[np.bool_]:
+    """Return which bodies are a body or hang on it (nbody,).
+
+    Raises:
+        ModelError: If the model has no such body.
+    """
+    inside = np.zeros(model.nbody, dtype=np.bool_)
+    first = find(model, "body", part.subtree)
+    for body in range(first, model.nbody):  # a parent comes before its children
+        inside[body] = body == first or inside[model.body_parentid[body]]
+    return inside
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.limits import CollisionLimit
+from rmrc.config.base import Subtree
+from rmrc.config.limits import CollisionLimit, Part
 from rmrc.errors import ModelError, unknown_name
-from rmrc.problem.frames import OBJECTS, names
+from rmrc.problem.frames import OBJECTS, in_subtree, names
 from rmrc.problem.limits.always_near import Whereabouts, always_near, anywhere
 from rmrc.problem.limits.extents import dofs_of_bodies
 from rmrc.problem.objects import Objects
@@ -167,7 +168,7 @@ class _Resolver:
         wanted = self._moved & (both | meant)
         return self._without("by contype and conaffinity", wanted, filtered), meant
 
-    def _named(self, entries: tuple[tuple[str, str], ...]) -> tuple[Mask, Mask]:
+    def _named(self, entries: tuple[tuple[Part, Part], ...]) -> tuple[Mask, Mask]:
         """Return the pairs that the names stand for and those of them that no filter takes out."""
         wanted, meant = np.zeros_like(self._moved), np.zeros_like(self._moved)
         for entry in entries:
@@ -199,17 +200,22 @@ class _Resolver:
             excepted |= pairs
         return excepted
 
-    def _meaning(self, key: str, name: str, whole: bool = False) -> _Meaning:
-        """Return what a name stands for: a group, else a body, else a geom."""
+    def _meaning(self, key: str, name: Part, whole: bool = False) -> _Meaning:
+        """Return what a name stands for: a subtree, a group, else a body, else a geom."""
+        if isinstance(name, Subtree):
+            return _Meaning(self._geoms(key, name, whole), True)
         if name in self._limit.groups:
             members = self._limit.groups[name]
             geoms = [self._geoms("groups", member, whole) for member in members]
             return _Meaning(np.logical_or.reduce(geoms), True)
         return _Meaning(self._geoms(key, name, whole), False)
 
-    def _geoms(self, key: str, name: str, whole: bool) -> Mask:
-        """Return the one geom, or the geoms of a body: the whole of it, or what collides of it."""
+    def _geoms(self, key: str, name: Part, whole: bool) -> Mask:
+        """Return the one geom, or the geoms of a body or a subtree: all, or what collides."""
         model, found = self._model, np.zeros(self._model.ngeom, dtype=np.bool_)
+        if isinstance(name, Subtree):
+            found = in_subtree(model, name)[model.geom_bodyid]
+            return self._colliding(key, str(name), found, whole)
         body = mujoco.mj_name2id(model, OBJECTS["body"], name)
         if body < 0:
             geom = mujoco.mj_name2id(model, OBJECTS["geom"], name)
@@ -219,9 +225,12 @@ class _Resolver:
                 raise FieldError(key, unknown_name(kind, name, dict.fromkeys(known)))
             found[geom] = True
             return found
-        found = model.geom_bodyid == body
+        return self._colliding(key, f"the body '{name}'", model.geom_bodyid == body, whole)
+
+    def _colliding(self, key: str, what: str, found: Mask, whole: bool) -> Mask:
+        """Return geoms, without those that collide with nothing unless the whole is meant."""
         if not found.any():
-            raise FieldError(key, f"the body '{name}' has no geoms")
+            raise FieldError(key, f"{what} has no geoms")
         if not whole and (found & self._collides).any():
             self._silent.update(np.flatnonzero(found & ~self._collides).tolist())
             found &= self._collides

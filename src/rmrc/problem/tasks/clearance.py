@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rmrc.config.base import NameOf, NonNegative, Positive
+from rmrc.config.base import NameOf, NonNegative, Positive, Subtree
 from rmrc.errors import ModelError, unknown_name
 from rmrc.problem.configuration import free_dofs
-from rmrc.problem.frames import OBJECTS, names
+from rmrc.problem.frames import OBJECTS, in_subtree, names
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
 from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import Array, FieldError, GainedTask, Term
@@ -26,7 +26,7 @@ TOUCHING = 1e-9
 """Two geoms this near to touching, in m, have no direction between their nearest points; such a
 pair is left out of the step."""
 
-GeomOrBody = Annotated[str, NameOf("geom or body")]
+Part = Annotated[str, NameOf("geom or body")] | Subtree
 
 
 class ClearanceTask(GainedTask):
@@ -47,8 +47,9 @@ class ClearanceTask(GainedTask):
     type: Literal["clearance"] = "clearance"
     B: NonNegative = 1.0
     """Weight of each pair, a number."""
-    pairs: Annotated[tuple[tuple[GeomOrBody, GeomOrBody], ...], Field(min_length=1)]
-    """Pairs of geoms or bodies; a body, which goes before a geom of its name, means its geoms."""
+    pairs: Annotated[tuple[tuple[Part, Part], ...], Field(min_length=1)]
+    """Pairs of geoms, bodies or subtrees, as {subtree: left_base}; a body, which goes before a geom
+    of its name, means its geoms."""
     distance: Positive = 0.1
     """Distance D in m inside which a pair is pushed apart."""
 
@@ -60,12 +61,17 @@ class ClearanceTask(GainedTask):
         """
         found: list[tuple[int, int]] = []
         for pair in self.pairs:
-            (a, first), (b, second) = (_geoms(model, name) for name in pair)
-            if not np.setxor1d(joint_dofs_above(model, a), joint_dofs_above(model, b)).size:
+            first, second = (_geoms(model, part) for part in pair)
+            moved = [
+                (i, j)
+                for i, j in product(first, second)
+                if np.setxor1d(_dofs_above(model, i), _dofs_above(model, j)).size
+            ]
+            if not moved:
                 raise FieldError(
                     "pairs", f"no joint moves '{pair[0]}' and '{pair[1]}' relative to each other"
                 )
-            for i, j in product(first, second):
+            for i, j in moved:
                 low, high = sorted((i, j), key=lambda geom: (model.geom_type[geom], geom))
                 found.append((low, high))
         geoms = np.array(list(dict.fromkeys(found)), dtype=np.intp)
@@ -78,19 +84,28 @@ class ClearanceTask(GainedTask):
         )
 
 
-def _geoms(model: mujoco.MjModel, name: str) -> tuple[int, list[int]]:
-    """Return the body that a name stands for or is in, and the geoms that it means."""
-    body = mujoco.mj_name2id(model, OBJECTS["body"], name)
-    if body < 0:
-        geom = mujoco.mj_name2id(model, OBJECTS["geom"], name)
-        if geom < 0:
-            known = [*names(model, "geom"), *names(model, "body")]
-            raise ModelError(unknown_name("geom or body", name, dict.fromkeys(known)))
-        return int(model.geom_bodyid[geom]), [geom]
-    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
-    if not count:
-        raise FieldError("pairs", f"the body '{name}' has no geoms")
-    return body, list(range(first, first + count))
+def _dofs_above(model: mujoco.MjModel, geom: int) -> list[int]:
+    return joint_dofs_above(model, int(model.geom_bodyid[geom]))
+
+
+def _geoms(model: mujoco.MjModel, part: str | Subtree) -> list[int]:
+    """Return the geoms that a name or a subtree means."""
+    if isinstance(part, Subtree):
+        bodies = in_subtree(model, part)
+    else:
+        body = mujoco.mj_name2id(model, OBJECTS["body"], part)
+        if body < 0:
+            geom = mujoco.mj_name2id(model, OBJECTS["geom"], part)
+            if geom < 0:
+                known = [*names(model, "geom"), *names(model, "body")]
+                raise ModelError(unknown_name("geom or body", part, dict.fromkeys(known)))
+            return [geom]
+        bodies = np.arange(model.nbody) == body
+    geoms = np.flatnonzero(bodies[model.geom_bodyid]).tolist()
+    if not geoms:
+        what = f"the body '{part}'" if isinstance(part, str) else part
+        raise FieldError("pairs", f"{what} has no geoms")
+    return geoms
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

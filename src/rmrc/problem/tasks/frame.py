@@ -17,6 +17,7 @@ from rmrc.problem.lie import inverse_left_jacobian, inverse_multiply, log_motion
 from rmrc.problem.tasks.base import (
     Array,
     BendingTerm,
+    FieldError,
     GainedTask,
     HardTask,
     Preserve,
@@ -103,9 +104,15 @@ class FrameTask(PoseTask):
         return [resolve(model, self.frame).body(model)]
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "FrameTerm":
-        """Resolve the frame; the target is its pose at the start."""
+        """Resolve the frame; the target is its pose at the start.
+
+        Raises:
+            FieldError: If no joint moves it, or B has another size.
+        """
         weight = self.pose_weight()
         handle = resolve(model, self.frame)
+        if not handle.dofs(model):
+            raise FieldError("frame", f"no joint moves the {handle.kind} '{self.frame.name}'")
         return FrameTerm(
             **self.common(),
             weight=weight,
