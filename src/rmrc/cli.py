@@ -259,6 +259,60 @@ def check(
 
 
 @app.command()
+def inspect(
+    model: Annotated[
+        str, typer.Argument(metavar="SCENE|CONFIG", help="A model, or a YAML configuration.")
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print it all as JSON.")] = False,
+) -> None:
+    """List what a model has: frames, joints with ranges and speeds, couplings, keyframes."""
+    from rmrc.control.inspect import inspect as look
+    from rmrc.problem.inspect import described
+
+    found = look(model)
+    if as_json:
+        print(json.dumps(found, ensure_ascii=False))
+        return
+    for line in described(found):
+        print(line)
+
+
+@app.command()
+def init(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="DIR", help="The folder, made if it is not there.")
+    ] = None,
+    scene: Annotated[
+        str | None, typer.Option(help="The robot: a model file, menagerie:NAME, …")
+    ] = None,
+    frame: Annotated[
+        str | None, typer.Option(help="The site or body that moves; by default it is found.")
+    ] = None,
+    example: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A configuration that comes with rmrc.")
+    ] = None,
+    listed: Annotated[
+        bool, typer.Option("--list", help="List the configurations that come with rmrc.")
+    ] = False,
+) -> None:
+    """Begin: a configuration and a stack of one's own for a robot, that run at once."""
+    from rmrc.control.init import examples, init_example, init_scene
+    from rmrc.errors import RmrcError
+
+    if listed:
+        for name, says in examples().items():
+            print(f"{name:<24} {says}")
+        return
+    if folder is None:
+        raise RmrcError("name the folder: rmrc init DIR (or rmrc init --list)")
+    if example is not None and (scene or frame):
+        raise RmrcError("--example brings its own scene: leave --scene and --frame out")
+    said = init_scene(folder, scene, frame) if example is None else init_example(folder, example)
+    for line in said:
+        print(line)
+
+
+@app.command()
 def show(config: ConfigPath, settings: Settings = None) -> None:
     """Print the resolved configuration, each value with its origin."""
     from rmrc.config.load import show as show_config

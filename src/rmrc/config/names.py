@@ -16,6 +16,9 @@ from rmrc.problem.frames import names
 Named = tuple[Location, NameKind, str, bool]
 """Where a name is, of what, the name, and whether it is a key."""
 
+ALL = " (`rmrc inspect` lists all names)"
+"""Where a reader finds what a message cuts short."""
+
 FOLLOWING = ("pose", "point")
 """The kinds of targets that can follow a path."""
 
@@ -53,7 +56,7 @@ def unknown_names(annotation: Any, value: Any, model: mujoco.MjModel) -> list[Mi
     """Return the names in data that the model does not have, as far as a reader wants to know."""
     known: dict[str, dict[str, None]] = {}
     wrong = (
-        Mistake(location, unknown_name(kind, clipped(name), known[kind]), at_key)
+        Mistake(location, f"{unknown_name(kind, clipped(name), known[kind])}{ALL}", at_key)
         for location, kind, name, at_key in names_in(annotation, value)
         if name not in known.setdefault(kind, dict.fromkeys(_names(model, kind)))
     )
