@@ -156,7 +156,7 @@ def test_loops_and_couplings_have_the_errors_derivatives(constrained: str, seed:
 def test_a_loops_error_is_minus_the_gap(constrained: str) -> None:
     names = ["gear", "pin", "rope", "clamp"]
     tasks = [{"name": "loop", "type": "loop", "equalities": names}]
-    evaluation = Evaluation(rmrc.compile(config(constrained, tasks)))
+    evaluation = Evaluation(rmrc.compile(config(constrained, tasks, equalities="off")))
     model, data = evaluation.model, evaluation.data
     q = random_configuration(model, evaluation.problem.start, np.random.default_rng(0), 0.7)
     error = error_at(evaluation, q)
@@ -204,11 +204,15 @@ def test_a_constraint_that_is_not_active_is_left_out_and_named_it_is_refused(
         rmrc.compile(config(constrained, [{**loop, "equalities": ["spare"]}]))
 
 
-def test_only_constraints_that_no_loop_holds_are_noticed(constrained: str) -> None:
+def test_what_no_loop_names_is_held_by_default_and_noticed(constrained: str) -> None:
     names = [name for name in ROWS if name != "belt"]
     loop = {"name": "loop", "type": "loop", "equalities": names}
-    noticed = [n for n in rmrc.compile(config(constrained, [loop])).notices if "equality" in n]
-    assert noticed == ["the model's equality constraint 'belt' is not held"]
+    problem = rmrc.compile(config(constrained, [loop]))
+    assert problem.named("equalities").equalities == (problem.model.equality("belt").id,)
+    assert not any("not held" in notice for notice in problem.notices)
+    left_open = rmrc.compile(config(constrained, [loop], equalities="off"))
+    assert "equality constraints of the model that are not held: 'belt'" in left_open.notices
+    assert "equalities" not in left_open.term
 
 
 @pytest.mark.parametrize(
@@ -291,7 +295,7 @@ def test_redundant_rows_are_removed(repository: Path) -> None:
 
 def test_rows_that_contradict_one_another_meet_in_the_middle(repository: Path) -> None:
     tasks = [crank(1.0, hard=True), {**crank(2.0, hard=True), "name": "other"}]
-    found = equalities_of(compiled(four_bar(*tasks), repository))
+    found = equalities_of(compiled(four_bar(*tasks, equalities="off"), repository))
     assert found.matrix.shape == (1, 3)
     np.testing.assert_allclose(found.right / found.matrix[0, 0], [1.5], atol=EXACT)
     assert found.inconsistency == pytest.approx(np.sqrt(0.5), abs=EXACT)

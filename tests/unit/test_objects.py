@@ -121,8 +121,8 @@ RIMMED = CUP.replace("</body>", '<site name="rim"/></body>')
         (DRIVEN, [HAND], ["j1", "cup_free"], ["door"]),
         (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [{"name": "l", "type": "loop"}], None, []),
         (scene(ARM, CUP, DOOR, actuators=TENDON), [HAND], None, ["cup"]),
-        # An equality that no task holds ties nothing to the robot.
-        (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [HAND], None, ["cup"]),
+        # What the model itself ties to the robot moves with it, as if a loop named it.
+        (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [HAND], None, []),
         (scene(ARM, CUP, actuators=EQUALITIES + MOTORS), [HAND, LOOP], None, []),
         (scene(ARM, CUP, DOOR, actuators=EQUALITIES.replace("fore", "latch") + MOTORS), [HAND],
          None, ["cup", "door"]),

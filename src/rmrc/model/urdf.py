@@ -83,6 +83,8 @@ class _Reader:
     def __init__(self, root: Located, name: str, packages: Packages):
         self._root, self._file, self._packages = root, name, packages
         self._said = Description()
+        self._parts: set[str] = set()
+        """Names of visuals and collisions, which become geoms."""
         self._links = self._named("link")
         self._joints = self._named("joint")
         self._parents = dict(self._tree())
@@ -157,6 +159,9 @@ class _Reader:
                 self._origin(part, where)
             if part.tag not in ("visual", "collision"):
                 continue
+            if part.get("name", "") and part.get("name") in self._parts:
+                del part.attrib["name"]  # MuJoCo would warn, and leave it out too
+            self._parts.add(part.get("name", ""))
             geometry = first(part, "geometry")
             shape = None if geometry is None or not len(geometry) else geometry[0]
             if not isinstance(shape, Located) or not self._is_shape(shape, where):
