@@ -204,7 +204,9 @@ def table(results: dict[str, dict[str, dict[str, Any]]]) -> str:
         for name, r in files.items():
             if r["verdict"] in ("converged", "no joints"):
                 continue
-            why = r.get("reason") or ", ".join(f"{k}: {v:.3g}" for k, v in r.get("broken", {}).items())
+            why = r.get("reason") or ", ".join(
+                f"{k}: {v:.3g}" for k, v in r.get("broken", {}).items()
+            )
             if not why and "off" in r:
                 why = f"{r['off']:.3g} m and {r['turned']:.3g} rad off"
             part = " (a part of other files)" if r.get("part") else ""
@@ -237,7 +239,9 @@ def main() -> None:
             found[name] = tried_apart(path)
             if path.resolve() in parts:
                 found[name]["part"] = True
-            print(f"{found[name]['verdict']:<14} {name} {found[name].get('reason', '')}", flush=True)
+            print(
+                f"{found[name]['verdict']:<14} {name} {found[name].get('reason', '')}", flush=True
+            )
         print(package, dict(Counter(result["verdict"] for result in found.values())), flush=True)
         if arguments.json:
             arguments.json.write_text(json.dumps(results, indent=1) + "\n")

@@ -15,7 +15,9 @@ def link(name: str, inside: str = INERTIAL) -> str:
     return f'<link name="{name}">{inside}</link>'
 
 
-def joint(name: str, kind: str, parent: str, child: str, inside: str = "", at: str = "0 0 0") -> str:
+def joint(
+    name: str, kind: str, parent: str, child: str, inside: str = "", at: str = "0 0 0"
+) -> str:
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="{at}"/>{inside}</joint>'

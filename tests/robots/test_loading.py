@@ -109,7 +109,9 @@ def test_the_base_floats_where_the_scene_says_so(urdf: Urdf) -> None:
     path = str(urdf(ARM))
     model = load_scene(Source(path, base="floating"), HERE).model
     assert model.joint(FLOATING_BASE).type == mujoco.mjtJoint.mjJNT_FREE
-    free = "<mujoco><worldbody><body name='b'><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    free = (
+        "<mujoco><worldbody><body name='b'><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
     assert load_scene(Source(free, base="fixed"), HERE).model.nv == 0
 
 
@@ -263,6 +265,8 @@ def test_a_scene_built_in_python_runs(kind: str) -> None:
 def test_a_wrong_name_suggests_every_type_of_file(tmp_path: Path, urdf: Urdf) -> None:
     urdf(ARM)
     (tmp_path / "scene.xml").write_text(BODY)
-    with pytest.raises(ModelError, match=r"did you mean 'robot.urdf'\? There is: robot.urdf, scene"):
+    with pytest.raises(
+        ModelError, match=r"did you mean 'robot.urdf'\? There is: robot.urdf, scene"
+    ):
         load_scene("robot.xml", tmp_path)
     assert load_scene(str(tmp_path), HERE).model.nv == 3  # the scene.xml of a folder

@@ -20,6 +20,8 @@ SHOWN = 6
 """Distances that a line names."""
 SHARE = 0.25
 """Share of the deadline up to which nothing is said of the time that rows take."""
+MANY = 500
+"""Dofs above which no engine is built to look at."""
 LOOKS, AWAY = 9, 1e-3
 """How often rows are timed, and how far from the start the joints are, rad or m: at the same place
 what was measured before would be used again."""
@@ -39,6 +41,8 @@ def check(config: Config) -> list[str]:
         for term in problem.terms
     )
     lines = [f"{problem.dofs.size} of {problem.model.nv} dofs move; tasks: {tasks}"]
+    if problem.dofs.size > MANY:
+        return [*lines, _many(problem.dofs.size), *unfinished(aims, config), *problem.notices]
     controller = Controller(problem)  # what cannot run on this problem at all says so
     lines += controller.notices
     lines += shortcomings(problem)
@@ -51,6 +55,21 @@ def check(config: Config) -> list[str]:
         *unfinished(aims, config),
         *problem.notices,
     ]
+
+
+def _many(dofs: int) -> str:
+    """Return what a step of very many dofs will take, without building its engine: that takes
+    minutes.
+    """
+    matrix = np.eye(dofs) + 1.0 / dofs
+    begin = thread_time()
+    np.linalg.cholesky(matrix)
+    least = thread_time() - begin
+    return (
+        f"{dofs} dofs are very many: a step solves a dense program of as many unknowns, which takes "
+        f"{least:.2g} s or more on this machine, and a run minutes to begin; name the joints that "
+        "may move in `dofs`"
+    )
 
 
 def _at_limits(problem: Problem) -> list[str]:

@@ -48,7 +48,7 @@ _HEAD = "# yaml-language-server: $schema=rmrc.schema.json\n"
 def shipped() -> Path:
     """Return the folder with the scenes, stacks and configurations that come with rmrc."""
     package = Path(__file__).parents[1]
-    for folder in (package / "data", package.parents[1]):
+    for folder in (package / "data", package.resolve().parents[1]):
         if (folder / DEFAULT).is_file():
             return folder
     raise RmrcError("rmrc was installed without its scenes; install it from its wheel")
@@ -56,7 +56,9 @@ def shipped() -> Path:
 
 def examples() -> dict[str, str]:
     """Return the shipped configurations by name, each with what it shows."""
-    return {path.stem: _first_words(path) for path in sorted((shipped() / "configs").glob("*.yaml"))}
+    return {
+        path.stem: _first_words(path) for path in sorted((shipped() / "configs").glob("*.yaml"))
+    }
 
 
 def _first_words(path: Path) -> str:
@@ -73,19 +75,24 @@ def init_example(folder: Path, name: str) -> list[str]:
     source, known = shipped(), examples()
     if name not in known:
         raise RmrcError(unknown_name("example", name, known, limit=len(known)))
-    waiting, copied = [source / "configs" / f"{name}.yaml"], []
-    while waiting:
-        path = waiting.pop()
-        if path in copied or not path.is_file() or source not in path.resolve().parents:
-            continue
-        copied.append(path)
-        text = path.read_text(encoding="utf-8")
-        named = re.findall(r"(?:scene|use|path): *([^\s,}#]+)|file=\"([^\"]+)\"", text)
-        waiting += [(path.parent / part).resolve() for pair in named for part in pair if part]
-    texts = {path.relative_to(source): path.read_text(encoding="utf-8") for path in copied}
-    _write(folder, {**{str(path): text for path, text in texts.items()}, SCHEMA: _schema()})
+    texts = _with_parts(source, source / "configs" / f"{name}.yaml")
+    _write(folder, {**texts, SCHEMA: _schema()})
     config = folder / "configs" / f"{name}.yaml"
     return [*(f"wrote {folder / path}" for path in texts), f"run it: rmrc solve {config}"]
+
+
+def _with_parts(source: Path, file: Path) -> dict[str, str]:
+    """Return the text of a shipped file and of those that it names, by their places in `source`."""
+    waiting, texts = [file], {}
+    while waiting:
+        path = waiting.pop()
+        place = path.relative_to(source).as_posix() if source in path.parents else ""
+        if not place or place in texts or not path.is_file():
+            continue
+        texts[place] = path.read_text(encoding="utf-8")
+        named = re.findall(r"(?:scene|use|path): *([^\s,}#]+)|file=\"([^\"]+)\"", texts[place])
+        waiting += [(path.parent / part).resolve() for pair in named for part in pair if part]
+    return texts
 
 
 def init_scene(folder: Path, scene: str | None, frame: str | None = None) -> list[str]:
@@ -104,10 +111,8 @@ def init_scene(folder: Path, scene: str | None, frame: str | None = None) -> lis
     """
     texts: dict[str, str] = {}
     if scene is None:
-        text = (shipped() / DEFAULT).read_text(encoding="utf-8")
-        named = Path(DEFAULT).name
-        texts[named] = text
-        tried = str(shipped() / DEFAULT)
+        named, tried = DEFAULT, str(shipped() / DEFAULT)
+        texts = _with_parts(shipped(), shipped() / DEFAULT)
     else:
         named = scene if scene.startswith((MENAGERIE, DESCRIPTIONS)) else _from(folder, scene)
         tried = scene
@@ -276,4 +281,6 @@ def _rounded(values: Array) -> list[float]:
 
 
 def _quoted(text: str) -> str:
-    return text if re.fullmatch(r"[A-Za-z_./][\w./-]*", text) else json.dumps(text, ensure_ascii=False)
+    return (
+        text if re.fullmatch(r"[A-Za-z_./][\w./-]*", text) else json.dumps(text, ensure_ascii=False)
+    )

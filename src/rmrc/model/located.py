@@ -62,7 +62,7 @@ def numbers(
     if len(values) != len(default) or not all(map(math.isfinite, values)):
         wanted = "a number" if len(default) == 1 else f"{len(default)} numbers"
         raise ModelError(
-            f"{where.format(line=element.line)}: {key}=\"{text}\" of <{element.tag}> "
+            f'{where.format(line=element.line)}: {key}="{text}" of <{element.tag}> '
             f"is to be {wanted}"
         )
     return values

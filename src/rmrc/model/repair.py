@@ -56,7 +56,9 @@ class Repairs:
                 + (f" and {len(self._inertias) - 6} more" if len(self._inertias) > 6 else "")
             )
         if self._keys:
-            said.append(f"keyframes that do not fit the model are left out: {', '.join(self._keys)}")
+            said.append(
+                f"keyframes that do not fit the model are left out: {', '.join(self._keys)}"
+            )
         return said
 
     def _repaired(self, message: str) -> bool:
@@ -66,7 +68,9 @@ class Repairs:
             return self._balance()
         if "mass and inertia of moving bodies" in message:
             return self._weigh(name)
-        if "keyframe" in message or re.search(r"invalid (qpos|qvel|ctrl|act|mpos|mquat) size", message):
+        if "keyframe" in message or re.search(
+            r"invalid (qpos|qvel|ctrl|act|mpos|mquat) size", message
+        ):
             return self._drop_key(name)
         mesh = self._mesh(message, name)
         return mesh is not None and self._mend_mesh(mesh, message)

@@ -148,9 +148,7 @@ def _compiled(source: Source, root: Path, offsets: tuple[Offset, ...]) -> Scene:
     left_out = part.left_out | part.assets.left_out
     notices = [*part.notices, *repairs.notices()]
     part.assets.left_out = left_out
-    return Scene(
-        model, part.said.velocity, rest, left_out, (*part.assets.notices(), *notices)
-    )
+    return Scene(model, part.said.velocity, rest, left_out, (*part.assets.notices(), *notices))
 
 
 def _prepared(source: Source, root: Path) -> _Part:

@@ -92,7 +92,9 @@ class _Reader:
     def description(self) -> Description:
         """Return what was read."""
         if not self._links:
-            raise ModelError(f"{self._file}: this robot has no <link>")
+            raise ModelError(
+                f"{self._file}: this robot has no <link>: it is a part that others include"
+            )
         for link, element in self._links.items():
             self._read_link(link, element)
         for joint, element in self._joints.items():

@@ -75,7 +75,9 @@ def _hint(reason: str) -> str:
     if "Undefined substitution argument" in reason:
         return "; give it in the scene's `arguments`, as in {file: …, arguments: {name: value}}"
     if "ackage not found" in reason:
-        return "; say where it is in the scene's `packages`, as in {file: …, packages: {name: path}}"
+        return (
+            "; say where it is in the scene's `packages`, as in {file: …, packages: {name: path}}"
+        )
     return ""
 
 

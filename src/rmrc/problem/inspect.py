@@ -174,7 +174,9 @@ def _joint_line(joint: dict[str, Any], width: int) -> str:
     speed = f"{joint['speed']:.4g} {unit}/s ({joint['speed_from']})" if joint["speed"] else ""
     actuators = ", ".join(joint["actuators"])
     note = " (object)" if joint["object"] else ""
-    line = f"{joint['name']:<{width}}  {joint['type']:<5}  {span:<24}  {speed:<22}  {actuators}{note}"
+    line = (
+        f"{joint['name']:<{width}}  {joint['type']:<5}  {span:<24}  {speed:<22}  {actuators}{note}"
+    )
     return line.rstrip()
 
 

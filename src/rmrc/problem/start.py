@@ -40,9 +40,7 @@ def start_keyframe(model: mujoco.MjModel, start: object) -> int | None:
     return 0 if model.nkey == 1 else None
 
 
-def start_configuration(
-    scene: Scene, start: Start, limits: LimitsModel
-) -> tuple[Array, list[str]]:
+def start_configuration(scene: Scene, start: Start, limits: LimitsModel) -> tuple[Array, list[str]]:
     """Return the configuration (nq,) that a run starts from, and what to say of it.
 
     Raises:
@@ -53,7 +51,9 @@ def start_configuration(
     key = start_keyframe(model, None)
     if key is not None:
         base, where = model.key_qpos[key], model.key(key).name
-        said.append(f"the start is the keyframe '{where}'" if where else "the start is the keyframe")
+        said.append(
+            f"the start is the keyframe '{where}'" if where else "the start is the keyframe"
+        )
     else:
         base, moved = _inside(model, scene.rest, held_ranges(model, limits))
         where = f", moved inside the ranges: {listed(model, moved)}" if moved else ""

@@ -104,13 +104,14 @@ class CouplingTask(ConstraintTask):
             unit="m" if slides else "rad",
         )
 
-
     def _of_rates(
         self, model: mujoco.MjModel, start: Array, frame: Frame, rates: BodyRates
     ) -> "RateTerm":
         handle, numbers = resolve(model, frame), np.array([*rates.linear, *rates.angular])
         if not numbers.any():
-            raise FieldError("rates", "name at least one velocity, with a coefficient that is not 0")
+            raise FieldError(
+                "rates", "name at least one velocity, with a coefficient that is not 0"
+            )
         if not handle.dofs(model):
             raise FieldError("frame", f"no joint moves the {handle.kind} '{frame.name}'")
         return RateTerm(

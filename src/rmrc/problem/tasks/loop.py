@@ -57,9 +57,7 @@ class LoopTask(ConstraintTask, WeightedTask):
         """
         return self.term(model, start, self._found(model))
 
-    def term(
-        self, model: mujoco.MjModel, start: Array, equalities: tuple[int, ...]
-    ) -> "LoopTerm":
+    def term(self, model: mujoco.MjModel, start: Array, equalities: tuple[int, ...]) -> "LoopTerm":
         """Return the term of some constraints, by their ids."""
         scale, angular = zip(*(_true_units(model, i) for i in equalities), strict=True)
         return LoopTerm(
