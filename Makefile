@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-slow lint bench instructions soak schema clean
+.PHONY: demo test test-slow lint bench robots instructions soak schema clean
 
 # Of BLAS: at the size of a step more threads only add noise.
 ONE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
@@ -48,6 +48,10 @@ bench: $(VENV)/test.stamp
 	$(ONE) $(BIN)/python bench/scaling.py --json bench/results.json --plot docs/scaling.svg
 	$(BIN)/python bench/still.py docs/unreachable.svg
 	$(BIN)/python bench/table.py
+
+# Every model file of other people's packages, in an environment of its own: hours.
+robots: $(VENV)/test.stamp
+	$(ONE) $(BIN)/python bench/robots.py --json bench/robots.json --table docs/robots.md
 
 instructions: $(VENV)/test.stamp
 	$(ONE) $(BIN)/python bench/instructions.py --check

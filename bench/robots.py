@@ -76,7 +76,7 @@ def model_files(environment: Path, package: str) -> Iterator[Path]:
 
 
 def included(paths: list[Path]) -> set[Path]:
-    """Return the files that others include, or take macros from: parts, which may not stand alone."""
+    """Return the files that others include: parts, which may not stand alone."""
     parts = set()
     for path in paths:
         text = path.read_text(encoding="utf-8", errors="replace")

@@ -5,16 +5,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import rmrc
+from descriptions import ARM, FINGERS
 from rmrc.cli import app
 from rmrc.control.check import check
 from rmrc.control.init import examples, init_example, init_scene, shipped
 from rmrc.control.inspect import inspect
 from rmrc.errors import RmrcError
 from rmrc.problem.inspect import described
-from robots.conftest import ARM, FINGERS
-from typer.testing import CliRunner
 
 Urdf = Callable[..., Path]
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rmrc
+from descriptions import ARM, FINGERS, joint, link
 from rmrc.control.check import check
 from rmrc.errors import ConfigError
-from robots.conftest import ARM, FINGERS, joint, link
 
 Urdf = Callable[..., Path]
 
@@ -24,8 +24,14 @@ TENDONS = """<mujoco><worldbody><site name="post" pos="0 0.5 0"/>
 <body name="a"><joint name="j1" axis="0 0 1"/><geom size=".05"/>
 <body name="b" pos=".5 0 0"><joint name="j2" axis="0 0 1"/><geom size=".05"/>
 <site name="tip" pos=".5 0 0"/></body></body></worldbody><tendon>{}</tendon></mujoco>"""
-SUM = '<fixed name="t" limited="true" range="-.5 .5"><joint joint="j1" coef="1"/><joint joint="j2" coef="1"/></fixed>'
-ROPE = '<spatial name="t" limited="true" range="0.6 1.3"><site site="post"/><site site="tip"/></spatial>'
+SUM = (
+    '<fixed name="t" limited="true" range="-.5 .5">'
+    '<joint joint="j1" coef="1"/><joint joint="j2" coef="1"/></fixed>'
+)
+ROPE = (
+    '<spatial name="t" limited="true" range="0.6 1.3">'
+    '<site site="post"/><site site="tip"/></spatial>'
+)
 
 CART = """<mujoco><worldbody><body name="cart"><joint name="x" type="slide" axis="1 0 0"/>
 <joint name="y" type="slide" axis="0 1 0"/><joint name="yaw" axis="0 0 1"/><geom size=".1"/>
@@ -155,7 +161,10 @@ def test_wheels_do_not_slide_sideways() -> None:
 @pytest.mark.parametrize("engine", ["python", "native"])
 def test_a_frame_may_be_displaced(kind: str, engine: str) -> None:
     turned = [0.5, 0.5, -0.5, 0.5]
-    part = f"<site name='part' pos='.1 .2 .3' quat='0 1 0 0'/><geom name='part' size='.1' pos='.3 0 .1' quat='.6 0 .8 0'/>"
+    part = (
+        "<site name='part' pos='.1 .2 .3' quat='0 1 0 0'/>"
+        "<geom name='part' size='.1' pos='.3 0 .1' quat='.6 0 .8 0'/>"
+    )
     text = (
         "<mujoco><worldbody><body name='base'><joint axis='0 0 1'/><geom size='.1'/>"
         "<body name='part' pos='.4 0 0'><joint axis='0 1 0'/><joint axis='1 0 0'/>"
@@ -188,8 +197,9 @@ def test_short_names_are_of_one_thing_alone(urdf: Urdf) -> None:
     ):
         with pytest.raises(ConfigError, match=message):
             rmrc.compile(rmrc.Config(scene=scene, tasks=[position_task(frame)]))
-    with pytest.raises(ConfigError, match="{body: a} or {geom: a}"):
-        text = "<mujoco><worldbody><body name='a'><joint/><geom name='a' size='1'/></body></worldbody></mujoco>"
+    both = "<body name='a'><joint/><geom name='a' size='1'/></body>"
+    text = f"<mujoco><worldbody>{both}</worldbody></mujoco>"
+    with pytest.raises(ConfigError, match=r"{body: a} or {geom: a}"):
         rmrc.compile(rmrc.Config(scene=text, tasks=[position_task("a")]))
 
 
@@ -210,7 +220,8 @@ def test_the_start_is_home_or_the_only_keyframe_or_inside_the_ranges(urdf: Urdf)
     scene = (
         "<mujoco><worldbody><body><joint name='a' range='1 2'/><geom size='1'/>"
         "<body><joint name='b' range='-9 9'/><geom size='1'/></body></body></worldbody>"
-        "<compiler angle='radian'/><equality><joint joint1='b' joint2='a' polycoef='0 2 0 0 0'/></equality>"
+        "<compiler angle='radian'/>"
+        "<equality><joint joint1='b' joint2='a' polycoef='0 2 0 0 0'/></equality>"
         "<keyframe>{}</keyframe></mujoco>"
     )
     one, home = "<key qpos='1.5 3'/>", "<key name='home' qpos='1.2 2.4'/>"

@@ -27,7 +27,7 @@ def is_model(annotation: Any) -> bool:
 
 
 def members(annotation: Any) -> tuple[Any, ...]:
-    """Return what a union is of, without None and what no file can say; of anything else, nothing."""
+    """Return what a union is of but None and what no file can say; of anything else, nothing."""
     kind, _ = bare(annotation)
     if get_origin(kind) not in (Union, UnionType):
         return ()

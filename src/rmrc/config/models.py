@@ -151,8 +151,8 @@ class Config(Model):
     """One run: a scene, a start, tasks with their targets, limits, a solver."""
 
     scene: SceneValue
-    """A MJCF, URDF or xacro file, menagerie:NAME[/ENTRY], robot_descriptions:NAME, or a mapping that
-    says more; from Python also a MjModel, a MjSpec or an XML text."""
+    """A MJCF, URDF or xacro file, menagerie:NAME[/ENTRY], robot_descriptions:NAME, or a mapping
+    that says more; from Python also a MjModel, a MjSpec or an XML text."""
     start: KeyframeName | Vector | dict[JointName, Number] | None = None
     """Start configuration; by default the keyframe `home`, else the only keyframe, else qpos0 moved
     inside the ranges. Mocap bodies start where that keyframe, or the one that is named, has them.

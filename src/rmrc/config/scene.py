@@ -14,14 +14,14 @@ class SceneFile(Model):
     """A model file, and how it is read."""
 
     file: str
-    """A MJCF, URDF or xacro file, menagerie:NAME, menagerie:NAME/ENTRY or robot_descriptions:NAME."""
+    """A MJCF, URDF or xacro file, menagerie:NAME[/ENTRY] or robot_descriptions:NAME."""
     arguments: dict[str, str | bool | int | float] = Field(default={})
     """Arguments of a xacro, by name."""
     packages: dict[str, str] = Field(default={})
     """Where `package://NAME` leads, by name; the folders above the file, ROS_PACKAGE_PATH and
     AMENT_PREFIX_PATH are looked at too."""
     base: Base | None = None
-    """`floating`: the root gets a free joint; `fixed`: it has none. By default, as the file says."""
+    """`floating`: the root gets a free joint; `fixed`: it has none. As the file says by default."""
     meshes: Literal["auto", "off"] = "auto"
     """`auto`: those that cannot be had are left out, with a notice; `off`: all are."""
 

@@ -66,7 +66,7 @@ def _many(dofs: int) -> str:
     np.linalg.cholesky(matrix)
     least = thread_time() - begin
     return (
-        f"{dofs} dofs are very many: a step solves a dense program of as many unknowns, which takes "
+        f"{dofs} dofs are very many: a step solves a dense program of that size, which takes "
         f"{least:.2g} s or more on this machine, and a run minutes to begin; name the joints that "
         "may move in `dofs`"
     )

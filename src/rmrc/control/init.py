@@ -228,7 +228,7 @@ class _Plan:
         to = ", ".join(f"{key}: {value}" for key, value in line["to"].items())
         turn = self._weight()["orientation"]
         base = f"  base: {{linear: {BASE['linear']}, angular: {BASE['angular']}}}  # m/s, rad/s\n"
-        return f"""{_HEAD}# {self.effector.kind} {self.effector.name} goes along a line. Run it: rmrc solve {CONFIG}
+        return f"""{_HEAD}# A frame goes along a line. Run it: rmrc solve {CONFIG}
 # What else the model has: rmrc inspect {CONFIG}. What a key means: see {SCHEMA}.
 scene: {_quoted(scene)}
 dt: {DT}                # s, of a step
@@ -248,8 +248,8 @@ limits:
 """
 
 
-_STACK = f"""{_HEAD}# A stack: tasks that a configuration takes in with `use`. A frame goes to its target, and the
-# joints stay near the start where the frame leaves them free.
+_STACK = f"""{_HEAD}# A stack: tasks that a configuration takes in with `use`.
+# A frame goes to its target; the joints stay near the start where the frame leaves them free.
 parameters:
   frame: null           # the frame that moves, as in {{site: hand}}; it must be given
   position: 1.0         # weight of the squared position error, 1/m²
@@ -281,6 +281,5 @@ def _rounded(values: Array) -> list[float]:
 
 
 def _quoted(text: str) -> str:
-    return (
-        text if re.fullmatch(r"[A-Za-z_./][\w./-]*", text) else json.dumps(text, ensure_ascii=False)
-    )
+    plain = re.fullmatch(r"[A-Za-z_./][\w./-]*", text)
+    return text if plain else json.dumps(text, ensure_ascii=False)

@@ -139,7 +139,7 @@ class Repairs:
             return None
         quoted = re.findall(r"'([^']*)'", message)
         for mesh in self._assets.spec.meshes:
-            if mesh.name and mesh.name == name or mesh.file and mesh.file in quoted:
+            if (mesh.name and mesh.name == name) or (mesh.file and mesh.file in quoted):
                 return mesh
         for mesh in self._assets.spec.meshes:
             if mesh.name and mesh.name in quoted:

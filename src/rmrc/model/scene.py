@@ -1,4 +1,4 @@
-"""Scenes: a file of any format, or a model built in Python, to an `MjModel` of which nothing is lost."""
+"""Scenes: a file of any format, or what Python has built, to a model of which nothing is lost."""
 
 import copy
 import re
@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 from warnings import catch_warnings, simplefilter
 
 import mujoco
@@ -21,7 +20,7 @@ from rmrc.model.located import root_tag
 from rmrc.model.meshes import Assets
 from rmrc.model.offsets import add_sites, place_sites
 from rmrc.model.packages import Packages
-from rmrc.model.repair import Repairs, depth_first, name_all
+from rmrc.model.repair import Repairs, name_all
 from rmrc.model.source import Attachment, Offset, Source
 from rmrc.model.urdf import Description, read_urdf
 from rmrc.model.xacro import expand, is_xacro

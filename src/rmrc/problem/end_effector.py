@@ -15,7 +15,7 @@ from rmrc.problem.frames import OBJECTS, dofs_before, names
 from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.loop import ROWS
 
-# Parts of names, the likeliest first: what is held, the hand, where a hand is mounted, a limb's end.
+# Parts of names, the likeliest first: what is held, the hand or its mount, a limb's end.
 _KINDS = (
     r"tcp|tool|end.?eff|(^|[_/:.-])ee[f]?($|[_/:.-])|eef|pinch|grip_?site|grasp",
     r"attachment|flange|hand|gripper|palm",

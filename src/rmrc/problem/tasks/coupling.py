@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mujoco
 import numpy as np
-
 from pydantic import Field, model_validator
 
 from rmrc.config.base import (
