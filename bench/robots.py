@@ -114,9 +114,9 @@ def judged(config: rmrc.Config) -> dict[str, Any]:
     run = rmrc.solve(config)
     scene, problem = scene_of(config), rmrc.compile(config)
     model, broken = problem.model, {}
-    task = next(task for task in config.tasks if task.name == "hand")
-    pose = resolve(model, task.frame).pose_at(model, run.q[-1])
-    goal = config.targets["hand"].to
+    task: Any = next(task for task in config.tasks if task.name == "hand")
+    line: Any = config.targets["hand"]
+    pose, goal = resolve(model, task.frame).pose_at(model, run.q[-1]), line.to
     off = float(np.linalg.norm(pose[4:] - np.array(goal.position)))
     turned = 0.0
     if goal.quaternion is not None:
@@ -220,6 +220,7 @@ def main() -> None:
     parser.add_argument("--environment", type=Path, default=ENVIRONMENT)
     parser.add_argument("--packages", default=",".join(PACKAGES))
     parser.add_argument("--match", default="", help="only files whose path has this")
+    parser.add_argument("--without", default=None, help="no files whose path has this")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--table", type=Path)
     arguments = parser.parse_args()
@@ -234,7 +235,7 @@ def main() -> None:
         found = results.setdefault(package, {})
         for path in paths:
             name = str(path.relative_to(folder / "site-packages"))
-            if arguments.match not in name:
+            if arguments.match not in name or (arguments.without or "\0") in name:
                 continue
             found[name] = tried_apart(path)
             if path.resolve() in parts:

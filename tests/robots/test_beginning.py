@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 import rmrc
 from descriptions import ARM, FINGERS
+from models import config as made
 from rmrc.cli import app
 from rmrc.control.check import check
 from rmrc.control.init import examples, init_example, init_scene, shipped
@@ -115,5 +116,5 @@ def test_check_warns_of_very_many_dofs() -> None:
     )
     bodies = "".join(map(body.format, range(600)))
     scene = f"<mujoco><worldbody>{bodies}</worldbody></mujoco>"
-    config = rmrc.Config(scene=scene, tasks=[{"name": "rest", "type": "posture"}])
+    config = made(scene=scene, tasks=[{"name": "rest", "type": "posture"}])
     assert any("600 dofs are very many" in line for line in check(config))

@@ -9,6 +9,7 @@ import pytest
 
 import rmrc
 from descriptions import ARM, FINGERS, INERTIAL, TURN, joint, link
+from models import config as made
 from rmrc.errors import ModelError
 from rmrc.model.scene import FLOATING_BASE, load_scene
 from rmrc.model.source import Attachment, Source
@@ -80,7 +81,7 @@ def test_a_joint_that_has_to_stand_is_held(urdf: Urdf) -> None:
     scene = load_scene(str(urdf(still)), HERE)
     assert scene.model.joint("j1").range.tolist() == [0.3, 0.3]
     assert scene.model.joint("j1").limited
-    config = rmrc.Config(
+    config = made(
         scene=str(urdf(still)),
         tasks=[{"name": "hand", "type": "frame", "frame": "tool0", "B": {"orientation": 0.0}}],
         limits={"position": {"margin": 0.01}},
@@ -252,7 +253,7 @@ def test_a_scene_built_in_python_runs(kind: str) -> None:
         "spec": mujoco.MjSpec.from_string(BODY),
         "model": mujoco.MjModel.from_xml_string(BODY),
     }[kind]
-    config = rmrc.Config(
+    config = made(
         scene=built,
         tasks=[{"name": "hand", "type": "frame", "frame": {"site": "mount"}, "B": 1.0}],
         start="away",

@@ -10,6 +10,8 @@ import pytest
 
 import rmrc
 from descriptions import ARM, FINGERS, joint, link
+from models import config as made
+from rmrc.config.limits import LimitsModel, PerJoint
 from rmrc.control.check import check
 from rmrc.errors import ConfigError
 
@@ -56,7 +58,7 @@ def at(model: mujoco.MjModel, q: np.ndarray) -> mujoco.MjData:
 
 @pytest.mark.parametrize("engine", ["python", "native"])
 def test_fingers_mimic_and_the_files_speeds_hold(urdf: Urdf, engine: str) -> None:
-    config = rmrc.Config(
+    config = made(
         scene=str(urdf(ARM, FINGERS)),
         engine=engine,
         tasks=[position_task("left"), {"name": "rest", "type": "posture", "level": 1, "B": 0.01}],
@@ -70,14 +72,12 @@ def test_fingers_mimic_and_the_files_speeds_hold(urdf: Urdf, engine: str) -> Non
     assert (rates.max(axis=0) <= np.array([0.5, 0.5, 0.1, 0.1]) * (1.0 + HELD)).all()
     assert rates[:, 0].max() > 0.4  # and the limit is used
     assert np.abs(run.q[:, 2] - run.q[:, 3]).max() <= HELD
-    named = rmrc.Config.model_validate(
-        config.model_dump() | {"limits": {"velocity": {"j1": 1.5}}, "tasks": config.tasks}
-    )
+    named = config.model_copy(update={"limits": LimitsModel(velocity=PerJoint(j1=1.5))})
     assert rmrc.compile(named).box.velocity.tolist() == [1.5, 0.5, 0.1, 0.1]
 
 
 def test_equalities_off_leaves_them_open_and_says_so(urdf: Urdf) -> None:
-    config = rmrc.Config(
+    config = made(
         scene=str(urdf(ARM, FINGERS)),
         equalities="off",
         tasks=[{"name": "v", "type": "velocity", "target": {"f1": 0.05}}],
@@ -93,7 +93,7 @@ def test_equalities_off_leaves_them_open_and_says_so(urdf: Urdf) -> None:
 def test_robots_with_equalities_keep_them(menagerie: Path, robot: str) -> None:
     scene = str(menagerie / f"{robot}.xml")
     tasks = [{"name": "rest", "type": "posture", "gain": 2.0, "target": None}]
-    config = rmrc.Config(scene=scene, tasks=tasks, duration=1.0, dt=0.005)
+    config = made(scene=scene, tasks=tasks, duration=1.0, dt=0.005)
     problem = rmrc.compile(config)
     rng, controller = np.random.default_rng(0), rmrc.Controller(problem)
     goal = problem.start.copy()
@@ -113,7 +113,7 @@ def test_robots_with_equalities_keep_them(menagerie: Path, robot: str) -> None:
 def test_tendons_stay_in_their_ranges(tendon: str, ends: tuple[float, float]) -> None:
     ways = []
     for engine in ("python", "auto"):
-        config = rmrc.Config(
+        config = made(
             scene=TENDONS.format(tendon),
             engine=engine,
             tasks=[position_task({"site": "tip"})],
@@ -132,7 +132,7 @@ def test_tendons_stay_in_their_ranges(tendon: str, ends: tuple[float, float]) ->
 
 
 def test_a_tendon_in_space_is_the_python_engines() -> None:
-    config = rmrc.Config(scene=TENDONS.format(ROPE), tasks=[position_task({"site": "tip"})])
+    config = made(scene=TENDONS.format(ROPE), tasks=[position_task({"site": "tip"})])
     assert any("tendon with a path in space" in line for line in check(config))
 
 
@@ -140,7 +140,7 @@ def test_wheels_do_not_slide_sideways() -> None:
     ways = []
     for engine in ("python", "native"):
         rolling = {"name": "wheels", "type": "coupling", "frame": {"body": "cart"}}
-        config = rmrc.Config(
+        config = made(
             scene=CART,
             engine=engine,
             tasks=[position_task("front"), {**rolling, "rates": {"linear": [0, 1, 0]}}],
@@ -171,7 +171,7 @@ def test_a_frame_may_be_displaced(kind: str, engine: str) -> None:
         f"{part}</body></body></worldbody></mujoco>"
     )
     offset = {"position": [0.1, -0.2, 0.3], "quaternion": turned}
-    config = rmrc.Config(
+    config = made(
         scene=text,
         engine=engine,
         tasks=[{"name": "hand", "type": "frame", "frame": {kind: "part", "offset": offset}}],
@@ -190,22 +190,22 @@ def test_a_frame_may_be_displaced(kind: str, engine: str) -> None:
 
 def test_short_names_are_of_one_thing_alone(urdf: Urdf) -> None:
     scene = str(urdf(ARM))
-    assert rmrc.compile(rmrc.Config(scene=scene, tasks=[position_task("tool0")])).terms
+    assert rmrc.compile(made(scene=scene, tasks=[position_task("tool0")])).terms
     for frame, message in (
         ("tool1", "no site, body or geom named 'tool1'; did you mean 'tool0'"),
         ("base_link", "no joint moves the body 'base_link'"),
     ):
         with pytest.raises(ConfigError, match=message):
-            rmrc.compile(rmrc.Config(scene=scene, tasks=[position_task(frame)]))
+            rmrc.compile(made(scene=scene, tasks=[position_task(frame)]))
     both = "<body name='a'><joint/><geom name='a' size='1'/></body>"
     text = f"<mujoco><worldbody>{both}</worldbody></mujoco>"
     with pytest.raises(ConfigError, match=r"{body: a} or {geom: a}"):
-        rmrc.compile(rmrc.Config(scene=text, tasks=[position_task("a")]))
+        rmrc.compile(made(scene=text, tasks=[position_task("a")]))
 
 
 def test_a_subtree_is_all_that_hangs_on_a_body(repository: Path) -> None:
     def pairs(side: Any) -> set[tuple[int, int]]:
-        config = rmrc.Config(
+        config = made(
             scene=str(repository / "scenes" / "dual_arm.xml"),
             tasks=[{"name": "rest", "type": "posture"}],
             limits={"collision": {"pairs": [[side, "table"]], "groups": {"left": [side]}}},
@@ -231,14 +231,12 @@ def test_the_start_is_home_or_the_only_keyframe_or_inside_the_ranges(urdf: Urdf)
         (one + home, [1.2, 2.4], "the keyframe 'home'"),
         (one + one.replace("key", "key name='x'"), [1.0, 2.0], "qpos0"),
     ):
-        config = rmrc.Config(scene=scene.format(keys), tasks=[{"name": "r", "type": "posture"}])
+        config = made(scene=scene.format(keys), tasks=[{"name": "r", "type": "posture"}])
         assert rmrc.compile(config).start.tolist() == start
         assert any(said in line for line in check(config))
 
 
 def test_objects_of_a_urdf_scene_stay(urdf: Urdf) -> None:
     floating = link("cup") + joint("free", "floating", "base_link", "cup", at="1 1 0")
-    config = rmrc.Config(
-        scene=str(urdf(ARM, floating)), tasks=[position_task("tool0")], duration=0.2
-    )
+    config = made(scene=str(urdf(ARM, floating)), tasks=[position_task("tool0")], duration=0.2)
     assert rmrc.compile(config).objects.roots

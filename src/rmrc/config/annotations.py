@@ -12,6 +12,9 @@ from pydantic.json_schema import SkipJsonSchema
 
 from rmrc.config.base import NameOf
 
+_PYTHONS: Any = SkipJsonSchema
+"""Marks what no file can say."""
+
 
 def bare(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
     """Return a type and what `Annotated` says about it."""
@@ -34,7 +37,8 @@ def members(annotation: Any) -> tuple[Any, ...]:
     return tuple(
         member
         for member in get_args(kind)
-        if member is not NoneType and SkipJsonSchema() not in bare(member)[1]
+        if member is not NoneType
+        and not any(isinstance(item, _PYTHONS) for item in bare(member)[1])
     )
 
 

@@ -17,7 +17,7 @@ from pydantic import (
 
 from rmrc.model.source import FrameKind, Offset
 
-FRAME_KINDS = ("site", "body", "geom")
+FRAME_KINDS: tuple[FrameKind, ...] = ("site", "body", "geom")
 
 # Eigenvalues of a weight matrix down to this share of the largest count as zero, not negative.
 SEMIDEFINITE_TOLERANCE = 1e-9

@@ -88,7 +88,7 @@ def _called(model: Any) -> str:
 
 Built = Annotated[
     InstanceOf[mujoco.MjModel] | InstanceOf[mujoco.MjSpec],
-    SkipJsonSchema(),
+    SkipJsonSchema(),  # pyright: ignore[reportCallIssue]
     PlainSerializer(_called),
 ]
 """What only Python can give."""

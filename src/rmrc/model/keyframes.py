@@ -30,9 +30,12 @@ class Keyframe:
 
     def named(self, prefix: str) -> "Keyframe":
         """Return the same of things whose names begin with a prefix."""
-        parts = (self.qpos, self.qvel, self.ctrl, self.mocap)
-        longer = ({f"{prefix}{name}": value for name, value in part.items()} for part in parts)
-        return Keyframe(self.name, self.time, *longer)
+
+        def longer(part: dict[str, Any]) -> dict[str, Any]:
+            return {f"{prefix}{name}": value for name, value in part.items()}
+
+        parts = (longer(self.qpos), longer(self.qvel), longer(self.ctrl), longer(self.mocap))
+        return Keyframe(self.name, self.time, *parts)
 
     def write(self, model: mujoco.MjModel, key: int) -> None:
         """Write it into a keyframe of a compiled model, over what is there."""

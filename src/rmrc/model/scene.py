@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from warnings import catch_warnings, simplefilter
+from warnings import WarningMessage, catch_warnings, simplefilter
 
 import mujoco
 import numpy as np
@@ -309,9 +309,11 @@ def _explained(name: str) -> Iterator[None]:
 def _warnings(said: list[str]) -> Iterator[None]:
     """Have MuJoCo's warnings as notices, which would go to the terminal and into a file."""
     before, heard = mujoco.get_mju_user_warning(), []
+    caught: list[WarningMessage] = []
     mujoco.set_mju_user_warning(heard.append)
     try:
-        with catch_warnings(record=True) as caught:
+        with catch_warnings(record=True) as heeded:
+            caught = heeded
             simplefilter("always")
             yield
     finally:

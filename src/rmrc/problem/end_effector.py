@@ -38,7 +38,7 @@ class Candidate:
     @property
     def frame(self) -> Frame:
         """The frame, as a configuration names it."""
-        return Frame(**{self.kind: self.name})
+        return Frame.model_validate({self.kind: self.name})
 
 
 def end_effectors(model: mujoco.MjModel, objects: Objects) -> list[Candidate]:

@@ -84,7 +84,7 @@ class ClearanceTask(GainedTask):
         )
 
 
-def _dofs_above(model: mujoco.MjModel, geom: int) -> list[int]:
+def _dofs_above(model: mujoco.MjModel, geom: int) -> NDArray[np.intp]:
     return joint_dofs_above(model, int(model.geom_bodyid[geom]))
 
 

@@ -63,7 +63,7 @@ class CouplingTask(ConstraintTask):
     def _one_kind(self) -> "CouplingTask":
         if (self.frame is None) != (self.rates is None):
             raise ValueError("frame and rates belong together: name both or neither")
-        if bool(self.coefficients) == (self.rates is not None):
+        if self.coefficients and self.rates is not None:
             raise ValueError("give either coefficients of joints, or frame and rates")
         return self
 
