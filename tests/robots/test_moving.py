@@ -28,7 +28,7 @@ TENDONS = """<mujoco><worldbody><site name="post" pos="0 0.5 0"/>
 <site name="tip" pos=".5 0 0"/></body></body></worldbody><tendon>{}</tendon></mujoco>"""
 SUM = (
     '<fixed name="t" limited="true" range="-.5 .5">'
-    '<joint joint="j1" coef="1"/><joint joint="j2" coef="1"/></fixed>'
+    '<joint joint="j2" coef="1"/><joint joint="j1" coef="1"/></fixed>'
 )
 ROPE = (
     '<spatial name="t" limited="true" range="0.6 1.3">'
@@ -72,7 +72,9 @@ def test_fingers_mimic_and_the_files_speeds_hold(urdf: Urdf, engine: str) -> Non
     assert (rates.max(axis=0) <= np.array([0.5, 0.5, 0.1, 0.1]) * (1.0 + HELD)).all()
     assert rates[:, 0].max() > 0.4  # and the limit is used
     assert np.abs(run.q[:, 2] - run.q[:, 3]).max() <= HELD
-    named = config.model_copy(update={"limits": LimitsModel(velocity=PerJoint(j1=1.5))})
+    named = config.model_copy(
+        update={"limits": LimitsModel(velocity=PerJoint.model_validate({"j1": 1.5}))}
+    )
     assert rmrc.compile(named).box.velocity.tolist() == [1.5, 0.5, 0.1, 0.1]
 
 

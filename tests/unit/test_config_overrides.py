@@ -134,7 +134,8 @@ def test_a_wrong_value_is_told_with_its_option(path):
         load(path, {"solver.bakcend": "osqp", "limits.velocity.elbw": 1, "tasks.hand.gain": -1})
     assert str(caught.value).splitlines() == [
         "--set limits.velocity.elbw=1: "
-        "no joint named 'elbw'; did you mean 'elbow'? There is: shoulder, elbow",
+        "no joint named 'elbw'; did you mean 'elbow'? There is: shoulder, elbow "
+        "(`rmrc inspect` lists all names)",
         "--set solver.bakcend=osqp: "
         "no key named 'bakcend'; did you mean 'backend'? "
         "There is: backend, max_iter, deadline, tolerance",

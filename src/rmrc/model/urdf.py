@@ -212,9 +212,9 @@ class _Reader:
             raise self._fail(joint, f"joint '{name}' has an axis of zero length")
         if kind == "floating":
             self._float(name, joint)
-        elif kind in ("spherical", "ball"):
+        elif kind in ("fixed", "spherical", "ball"):
             for limit in joint.findall("limit"):
-                joint.remove(limit)  # its ends are no angles of a ball joint
+                joint.remove(limit)  # there is no axis that it could be of
         elif kind in _SCALAR:
             self._limit(name, joint, kind, where)
 

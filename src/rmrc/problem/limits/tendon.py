@@ -80,12 +80,12 @@ def is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
 
 
 def coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
-    """Return the coefficient of each joint in the sum that a fixed tendon is."""
+    """Return the coefficient of each joint in the sum that a fixed tendon is, in their order."""
     sums: dict[int, float] = {}
     for wrap in wraps(model, tendon):
         joint = int(model.wrap_objid[wrap])
         sums[joint] = sums.get(joint, 0.0) + float(model.wrap_prm[wrap])
-    return sums
+    return dict(sorted(sums.items()))
 
 
 def tendon_levers(model: mujoco.MjModel, tendon: int) -> Array:
