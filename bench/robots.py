@@ -27,6 +27,7 @@ from rmrc.control.inspect import inspect
 from rmrc.errors import RmrcError
 from rmrc.model.located import root_tag
 from rmrc.problem.frames import resolve
+from rmrc.problem.objects import Objects, bodies_of_equality
 from rmrc.problem.scene import scene_of
 
 HERE = Path(__file__).parent
@@ -135,7 +136,7 @@ def judged(config: rmrc.Config) -> dict[str, Any]:
         rate = np.abs(np.diff(values)).max() / config.dt
         if most is not None and rate > most * (1.0 + RATE) + RATE:
             broken[f"speed of {name}"] = float(rate / most)
-    gap = equality_gap(model, run.q[-1])
+    gap = equality_gap(model, run.q[-1], problem.objects)
     if gap > HELD:
         broken["equalities"] = gap
     moved = np.abs(run.q[:, problem.objects.coordinates] - run.q[0, problem.objects.coordinates])
@@ -153,13 +154,21 @@ def judged(config: rmrc.Config) -> dict[str, Any]:
     }
 
 
-def equality_gap(model: mujoco.MjModel, q: Any) -> float:
-    """Return the largest residual of the active equalities, as MuJoCo has it."""
+def equality_gap(model: mujoco.MjModel, q: Any, objects: Objects) -> float:
+    """Return the largest residual of the active equalities, as MuJoCo has it.
+
+    Those of objects are what the scene makes them: nothing moves there.
+    """
     data = mujoco.MjData(model)
     data.qpos = q
     mujoco.mj_forward(model, data)
-    rows = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-    return float(np.abs(data.efc_pos[: data.nefc][rows]).max(initial=0.0))
+    gaps = [
+        abs(float(gap))
+        for gap, kind, i in zip(data.efc_pos, data.efc_type, data.efc_id, strict=True)
+        if kind == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        and not objects.bodies[bodies_of_equality(model, int(i))].any()
+    ]
+    return max(gaps, default=0.0)
 
 
 def _worker(path: Path, pipe: Any) -> None:

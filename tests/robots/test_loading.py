@@ -179,6 +179,12 @@ def test_inertias_that_only_physics_needs_are_repaired(urdf: Urdf, inside: str) 
     assert (scene.model.body("l2").inertia > 0.0).all()
 
 
+def test_a_declaration_of_no_version_of_xml_is_no_matter(urdf: Urdf) -> None:
+    path = urdf(ARM)
+    path.write_text(f'<?xml version="0.0" ?><!-- <mujoco> -->{path.read_text()}')
+    assert load_scene(str(path), HERE).velocity == {"j1": 0.5, "j2": 0.5}
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

@@ -1,11 +1,17 @@
 """XML with the line of each element, and numbers that are checked where they stand."""
 
 import math
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
 from rmrc.errors import ModelError
+
+
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+_TAG = re.compile(rb"<([A-Za-z_][\w:.-]*)")
+_VERSION = re.compile(rb"^(\s*<\?xml\s+version=)(['\"])[^'\"]*['\"]")
 
 
 class Located(ElementTree.Element):
@@ -35,7 +41,9 @@ def parse(text: str | bytes, name: str) -> Located:
     parser.StartElementHandler, parser.EndElementHandler = start, builder.end
     parser.CharacterDataHandler = builder.data
     try:
-        parser.Parse(text, True)
+        raw = text.encode() if isinstance(text, str) else text
+        # Files of some simulators say version 0.0, which no parser of XML knows.
+        parser.Parse(_VERSION.sub(rb"\1\g<2>1.0\2", raw), True)
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
         raise ModelError(f"{name}:{error.lineno}: this is not XML: {reason}") from None
@@ -76,18 +84,6 @@ def first(element: ElementTree.Element, path: str) -> Located | None:
 
 def root_tag(path: Path) -> str:
     """Return the tag of a file's root element, or an empty text where it has none."""
-    tag: list[str] = []
-    parser = expat.ParserCreate()
-
-    def start(name: str, _: dict[str, str]) -> None:
-        if not tag:
-            tag.append(name)
-
-    parser.StartElementHandler = start
-    with path.open("rb") as file:
-        while not tag and (block := file.read(4096)):
-            try:
-                parser.Parse(block, False)
-            except expat.ExpatError:
-                break
-    return tag[0] if tag else ""
+    text = _COMMENT.sub(b"", path.read_bytes())
+    found = _TAG.search(text)
+    return found[1].decode() if found else ""
