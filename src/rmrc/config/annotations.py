@@ -29,6 +29,7 @@ def is_model(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
+@cache
 def members(annotation: Any) -> tuple[Any, ...]:
     """Return what a union is of but None and what no file can say; of anything else, nothing."""
     kind, _ = bare(annotation)

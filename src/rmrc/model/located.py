@@ -8,7 +8,6 @@ from xml.parsers import expat
 
 from rmrc.errors import ModelError
 
-
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _TAG = re.compile(rb"<([A-Za-z_][\w:.-]*)")
 _VERSION = re.compile(rb"^(\s*<\?xml\s+version=)(['\"])[^'\"]*['\"]")

@@ -150,7 +150,9 @@ def _kind_of(model: mujoco.MjModel, name: str) -> FrameKind:
     Raises:
         ModelError: If there is none of that name, or more than one.
     """
-    kinds = [kind for kind in FRAME_KINDS if mujoco.mj_name2id(model, OBJECTS[kind], name) >= 0]
+    kinds: list[FrameKind] = [
+        kind for kind in FRAME_KINDS if mujoco.mj_name2id(model, OBJECTS[kind], name) >= 0
+    ]
     if len(kinds) > 1:
         choices = " or ".join(f"{{{kind}: {name}}}" for kind in kinds)
         raise ModelError(f"'{name}' is the name of a {' and of a '.join(kinds)}: say {choices}")
