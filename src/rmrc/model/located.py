@@ -10,7 +10,7 @@ from rmrc.errors import ModelError
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _TAG = re.compile(rb"<([A-Za-z_][\w:.-]*)")
-_VERSION = re.compile(rb"^(\s*<\?xml\s+version=)(['\"])[^'\"]*['\"]")
+_DECLARATION = re.compile(rb"<\?xml\s[^>]*\?>")
 
 
 class Located(ElementTree.Element):
@@ -41,8 +41,8 @@ def parse(text: str | bytes, name: str) -> Located:
     parser.CharacterDataHandler = builder.data
     try:
         raw = text.encode() if isinstance(text, str) else text
-        # Files of some simulators say version 0.0, which no parser of XML knows.
-        parser.Parse(_VERSION.sub(rb"\1\g<2>1.0\2", raw), True)
+        # Files of some simulators say version 0.0, or say it below a comment; all are UTF-8.
+        parser.Parse(_DECLARATION.sub(b"", raw), True)
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
         raise ModelError(f"{name}:{error.lineno}: this is not XML: {reason}") from None
