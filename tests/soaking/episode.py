@@ -244,6 +244,10 @@ class Episode:
         if bounded:
             moment.overtime = seconds - problem.deadline - OVERTIME
         figures.time(self.engine, seconds, problem.deadline, self._again(self._number))
+        if problem.config.previous == "measured" and not moment.braking:
+            # Of a joint that slows down it counts from the last command, and never from beyond.
+            ends = np.sort([moment.v, self._v, np.zeros_like(self._v)], axis=0)
+            moment.v = np.clip(step.moment.v_previous, ends[0], ends[2])
         return moment, step
 
     def _inputs(self) -> tuple[dict[str, Any], Moment]:

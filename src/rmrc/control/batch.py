@@ -19,7 +19,9 @@ Flags = NDArray[np.int32]
 Rows = tuple[Array, Array, Flags]
 
 _MOST_SEVERE = np.array([max(bits.bit_length() - 1, 0) for bits in range(2 << max(Status))])
-_PARTS = "Python takes a part of each step, as with timeouts, a measured velocity or a jerk limit"
+_PARTS = (
+    "Python takes a part of each step, as with timeouts, a measured velocity, a lag or a jerk limit"
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.engines import Choice, build_engine
-from rmrc.control.inputs import LARGEST, Configurations, Targets
+from rmrc.control.inputs import LARGEST, Configurations, Targets, counted_from
 from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
 from rmrc.control.quick import quick_step, quick_target
@@ -68,6 +68,7 @@ class Controller:
         self._adapts = problem.config.damping.adapt != "off"
         self._jerk = bool(np.isfinite(problem.box.jerk).any())
         self._measures = problem.config.previous == "measured"
+        self._lag = problem.lag if problem.lag.any() else None
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
         self.stepper = self.engine.stepper(self._q, self._v)
         """What takes the common steps in the extension; None where Python takes them all."""
@@ -108,6 +109,7 @@ class Controller:
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
         self._measured: Array | None = None
+        self._last_rate = self._v.copy()
         self.failures = 0
         model, data = self._model, evaluation.data
         for name, mocap in self._obstacle.items():
@@ -212,7 +214,7 @@ class Controller:
         Args:
             q: Measured configuration (nq,); by default the one that the last command led to.
             dt: Length of the step, s; by default the problem's.
-            v: Measured velocity (nv,), which `previous: measured` counts from; by default what the
+            v: Measured velocity (nv,), for `previous: measured` and `lag`; by default what the
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
@@ -223,10 +225,16 @@ class Controller:
             return self._brake(seconds, _INVALID_INPUT)
         dt = seconds
         previous = self._v.copy()
-        if self._measures:
-            previous = self._previous(q is not None, valid, v, dt)
-            if previous is None:
+        if self._measures or self._lag is not None:
+            rate = self._rate(q is not None, valid, v, dt)
+            if rate is None:
                 return self._brake(dt, _INVALID_INPUT)
+            if self._measures:
+                previous = counted_from(rate, self._last_rate, self._v)
+                self._last_rate = rate
+            if self._lag is not None and q is not None:
+                # What y = q ⊕ lag·v does is v itself, so that all limits hold as without a lag.
+                mujoco.mj_integratePos(self._model, valid, self._lag * rate, 1.0)
         if self._timed:
             stale = self._stale(q is not None, age)
             if stale is not False:
@@ -250,9 +258,9 @@ class Controller:
         if self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
 
-    def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
-        """Return the velocity that this step starts from, as measured; None if v is not valid."""
-        before, self._measured = self._measured, q if measured else None
+    def _rate(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
+        """Return the measured velocity, the last command without one; None if v is not valid."""
+        before, self._measured = self._measured, q.copy() if measured else None
         if v is not None:
             found = self._configurations.read_velocity(v)
         elif before is None or not measured:

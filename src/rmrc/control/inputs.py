@@ -56,6 +56,23 @@ def numbers(value: Any, *shape: int) -> Array | None:
     return array
 
 
+def counted_from(rate: Array, before: Array, command: Array) -> Array:
+    """Return the velocity (nv,) that accelerations count from where v is measured.
+
+    It is the measured one, but of a joint that the last command slowed down already: there it is
+    the last command, or rest where that has another sign. A drive that lags follows a command that
+    stays a·dt below what is measured with a·dt/lag alone, and passes its limit.
+
+    Args:
+        rate: The measured velocity (nv,).
+        before: That of the step before.
+        command: The last command (nv,).
+    """
+    ahead = np.sign(rate)
+    slows = (ahead * before > 0.0) & (ahead * command < ahead * before)
+    return np.where(slows, ahead * np.clip(ahead * command, 0.0, np.abs(rate)), rate)
+
+
 class Configurations:
     """Reads configurations (nq,) of one model."""
 

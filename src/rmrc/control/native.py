@@ -373,7 +373,8 @@ class NativeEngine(PythonEngine):
         if not self._alone or self._foreign:
             return None
         timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
-        if timed or problem.config.previous == "measured" or np.isfinite(problem.box.jerk).any():
+        measures = problem.config.previous == "measured" or problem.lag.any()
+        if timed or measures or np.isfinite(problem.box.jerk).any():
             return None
         return build_stepper(self, self._native, q, v)
 

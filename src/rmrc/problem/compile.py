@@ -21,7 +21,7 @@ from rmrc.problem.configuration import (
     turning_dofs,
 )
 from rmrc.problem.limits.extents import resolution, size
-from rmrc.problem.limits.joints import compile_box, select
+from rmrc.problem.limits.joints import compile_box, per_joint, select
 from rmrc.problem.limits.rows import compile_barriers, compile_speeds
 from rmrc.problem.objects import Objects, bodies_of_joints, claimed_by_mink, find_objects
 from rmrc.problem.problem import Problem
@@ -99,6 +99,7 @@ class _Compiler:
         if barriers:
             box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
         speeds = compile_speeds(config.limits, terms, mistakes)
+        lag = per_joint(objects, ("lag",), config.lag, 0.0, mistakes)
         self._try_solver()
         self._try_mink(mink_tasks, mink_limits, model, start)
         self._stop_on_mistakes()
@@ -125,6 +126,7 @@ class _Compiler:
             soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
             strict=strict,
             box=select(box, dofs),
+            lag=lag,
             notices=(
                 *objects.notices(),
                 *notices,

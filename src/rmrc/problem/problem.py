@@ -54,6 +54,8 @@ class Problem:
     """Whether a level moves only in the null space of those above."""
     box: Box
     """The joint limits (n,)."""
+    lag: Array
+    """Time constants of the drives (nv,), s; 0 where commands are carried out at once."""
     notices: tuple[str, ...]
     """What a user should know: defaults at work, and what has no limit."""
     barriers: tuple[BarrierLimit, ...] = ()
