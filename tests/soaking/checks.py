@@ -12,6 +12,7 @@ from rmrc.problem.problem import Problem
 from rmrc.qp.program import QP, Solution, SolveStatus
 from soaking.contract import Contract
 from soaking.drawer import Array
+from soaking.shaking import Shaking
 
 Pairs = NDArray[np.intp]
 
@@ -49,8 +50,11 @@ TOLERANCE = {
     "certificate": MEASURED,
     "residual": MEASURED,
     "reported": 0.0,
+    "shaking": 0.0,
 }
 """What is checked of a step, and the largest violation that passes."""
+HURRIED = 1 << Status.MAX_ITER | 1 << Status.DEADLINE
+"""Steps without an optimum: what they command depends on how far they came."""
 
 
 @dataclass
@@ -70,6 +74,8 @@ class Moment:
     """Whether what came in leaves nothing but to brake."""
     invalid: bool
     """Whether something that came in is not valid."""
+    rest: bool = False
+    """Whether targets and obstacles rest, were so at the step before, and dt is the usual one."""
     overtime: float = 0.0
     """Time in s that the step took beyond what it may."""
 
@@ -92,6 +98,7 @@ class Checker:
         self._data = mujoco.MjData(problem.model)
         self._calm = np.zeros(problem.dofs.size, dtype=bool)
         """The joints that have stood still inside their range since the last disturbance."""
+        self._shaking = Shaking(problem.dofs.size)
         model, config = problem.model, problem.config
         self._pairs, self._d_min = contract.pairs, contract.d_min
         radius = model.geom_rbound[self._pairs]
@@ -114,6 +121,7 @@ class Checker:
     def disturb(self) -> None:
         """Note that the joints are not where, or as fast as, the last command says."""
         self._calm[:] = False
+        self._shaking.forget()
 
     def check(self, moment: Moment, step: Step, controller: rmrc.Controller) -> dict[str, float]:
         """Return by how much a step passes each limit; 0 or less where it does not."""
@@ -125,6 +133,9 @@ class Checker:
         flags = step.flag_bits
         reported = flags >> Status.INVALID_INPUT & 1 or flags >> Status.STALE & 1
         found["reported"] = float(bool(reported) != (moment.invalid or moment.braking))
+        if moment.braking or not moment.rest or flags & HURRIED:
+            self._shaking.forget()
+        found["shaking"] = self._shaking.update(step.v[self._problem.dofs], moment.dt)
         if moment.braking:
             self._calm[:] = False
             found["brake"] = self._brake(moment, step.v)

@@ -14,12 +14,15 @@ from rmrc.control.methods import shortcomings
 from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
+from rmrc.problem.limits.joints import joint_name
 from rmrc.problem.problem import Problem
 
 SHOWN = 6
-"""Distances that a line names."""
+"""Distances or tasks that a line names."""
 SHARE = 0.25
 """Share of the deadline up to which nothing is said of the time that rows take."""
+OFF = 0.1
+"""How far from its target a task is for what its curvature adds, m or rad."""
 LOOKS, AWAY = 9, 1e-3
 """How often rows are timed, and how far from the start the joints are, rad or m: at the same place
 what was measured before would be used again."""
@@ -48,6 +51,7 @@ def check(config: Config) -> list[str]:
         *_at_limits(problem),
         *_too_near(problem),
         *_slow_rows(problem, controller),
+        *_curvature(problem, controller),
         *unfinished(aims, config),
         *problem.notices,
     ]
@@ -96,6 +100,33 @@ def _slow_rows(problem: Problem, controller: Controller) -> list[str]:
         f"of a deadline of {1e3 * problem.deadline:.2g} ms"
     )
     return [f"{line}: steps end with a brake" if rows > problem.deadline else line]
+
+
+def _curvature(problem: Problem, controller: Controller) -> list[str]:
+    """Return what the curvature of the tasks adds to λ² at the start, a tenth off their targets."""
+    assembly, evaluation = controller.engine.assembly, controller.engine.evaluation
+    lines, model = [], problem.model
+    evaluation.update(problem.start)
+    evaluation.evaluate()
+    for term in assembly.curvature.ways:
+        added = np.zeros(problem.dofs.size)
+        for row in range(*evaluation.rows_of([term]).indices(evaluation.error.size)):
+            rate = np.zeros_like(evaluation.error)
+            rate[row] = OFF * min(term.gain, 1.0 / problem.dt)
+            assembly.curvature.update(rate, problem.dt)
+            found = sum(assembly.curvature.levels.values(), np.zeros_like(added))
+            added = np.maximum(added, found)
+        k = int(added.argmax())
+        if added[k] > 0.0:
+            joint = joint_name(model, int(model.dof_jntid[problem.dofs[k]]))
+            lines.append(f"up to {added[k] / assembly.unit:.2g} at {joint} for {term.name}")
+    if not lines:
+        return []
+    more = f"; and for {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
+    return [
+        f"the curvature of a task that is {OFF:g} m or rad off adds to λ² = "
+        f"{problem.damping**2:.2g}: {'; '.join(lines[:SHOWN])}{more}"
+    ]
 
 
 def _too_near(problem: Problem) -> list[str]:

@@ -100,6 +100,8 @@ class Explanation:
     so that many at once can hold a robot where it is."""
     reasons: tuple[Reason, ...] = ()
     """Why the tasks are not there, of a step that is stuck."""
+    curvature: tuple[str, float, float] | None = None
+    """The joint that the tasks' curvature damps most, by how much, and λ²; None without any."""
 
     @property
     def relief(self) -> Binding | None:
@@ -127,6 +129,12 @@ class Explanation:
             ]
         if self.tasks:
             lines += ["what the tasks asked for and got:", *(f"  {task}" for task in self.tasks)]
+        if self.curvature is not None:
+            joint, added, square = self.curvature
+            lines.append(
+                f"damping: λ² = {square:.3g}, and for the curvature of the tasks up to "
+                f"{added:.3g} more, at {joint}"
+            )
         if self.relief is not None and not self.reasons:
             lines.append(
                 f"what would help most: relaxing the {self.relief.limit} limit of "
@@ -154,10 +162,30 @@ def explain(step: "Step", stuck: bool | None = None) -> Explanation:
         passed = _passed(moment)
         is_stuck = Status.STUCK in flags if stuck is None else stuck
         found = reasons(moment, solution) if is_stuck else ()
+        curvature = _curvature(moment)
     bindings.sort(key=lambda binding: -abs(binding.multiplier))
     return Explanation(
-        step.status, flags, tuple(bindings), tuple(tasks), moment.share, tuple(passed), found
+        step.status,
+        flags,
+        tuple(bindings),
+        tuple(tasks),
+        moment.share,
+        tuple(passed),
+        found,
+        curvature,
     )
+
+
+def _curvature(moment: Moment) -> tuple[str, float, float] | None:
+    """Return the joint that X damps most, its X, and λ², in the unit of the weights."""
+    assembly, evaluation = moment.engine.assembly, moment.engine.evaluation
+    # The native engine keeps its own X to itself.
+    assembly.curvature.update(assembly.rate - evaluation.feedforward, moment.dt)
+    added = sum(assembly.curvature.levels.values(), np.zeros(moment.engine.problem.dofs.size))
+    k = int(added.argmax())
+    if not added[k] > 0.0:
+        return None
+    return JointBounds(moment).name(k), float(added[k]) / assembly.unit, assembly.damping**2
 
 
 def _passed(moment: Moment) -> list[Passed]:
