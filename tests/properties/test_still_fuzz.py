@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import rmrc
 from models import REPOSITORY, config, random_quaternion
+from soaking.shaking import Shaking
 
 Array = NDArray[np.float64]
 
@@ -24,10 +25,6 @@ CLOSELY = 400
 """Steps at the start whose V is looked at, and how many pairs of steps later."""
 RISE, ROUNDING = 1e-9, 1e-12
 """Share of V that rounding may add, and what it may add where V is near 0."""
-MOVES = 1e-3
-"""rad/s; a slower rate has no sign."""
-WINDOW, STEPS = 0.1, 10
-"""A joint shakes if its acceleration changes sign at every step of 0.1 s and of ten steps."""
 ROBOTS = {"panda": "hand", "ur5e": "tool", "planar_3r": "hand"}
 DIMENSIONS = {"panda": 3, "ur5e": 3, "planar_3r": 2}
 
@@ -46,19 +43,6 @@ def potential(model: mujoco.MjModel, site: str, task: Any, target: mink.SE3, q: 
         error = np.r_[target.translation() - pose.translation(), turned]
     weight = np.repeat([1.0, task.B.orientation], 3)
     return 0.5 * float(error @ (weight * error))
-
-
-def shakes(rates: Array, dt: float) -> bool:
-    """Return whether an acceleration changes its sign at every step of a window."""
-    turns = np.diff(rates, axis=0)
-    turns = (turns[1:] * turns[:-1] < 0.0) & (np.abs(rates[1:-1]) > MOVES)
-    width = max(STEPS, round(WINDOW / dt))
-    runs = np.zeros(rates.shape[1], dtype=int)
-    for step in turns:
-        runs = np.where(step, runs + 1, 0)
-        if runs.max() >= width:
-            return True
-    return False
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -116,15 +100,15 @@ def test_it_rests_wherever_it_is_sent(
     controller = rmrc.Controller(problem, "native")
     controller.reset(start)
     assert controller.set_target("hand", position=place, quaternion=turn)
-    steps, rates, before = max(FEWEST, round(SECONDS / dt)), [], np.inf
+    steps, before = max(FEWEST, round(SECONDS / dt)), np.inf
+    shaking = Shaking(problem.dofs.size)
     every = max(1, steps // CLOSELY)
     for k in range(steps):
         step = controller.step()
-        rates.append(step.v.copy())
+        assert not shaking.update(step.v, dt)
         if k >= CLOSELY and k % every > 1:
             continue
         now = potential(problem.model, site, made.tasks[0], target, step.q)
         if k < CLOSELY or every == 1 or k % every == 1:
             assert now <= before * (1.0 + RISE) + ROUNDING
         before = now
-    assert not shakes(np.array(rates), dt)
