@@ -100,6 +100,8 @@ class Explanation:
     so that many at once can hold a robot where it is."""
     reasons: tuple[Reason, ...] = ()
     """Why the tasks are not there, of a step that is stuck."""
+    invalid: tuple[str, ...] = ()
+    """What was wrong with the inputs."""
 
     @property
     def relief(self) -> Binding | None:
@@ -108,6 +110,8 @@ class Explanation:
 
     def __str__(self) -> str:
         lines = [f"{flag.name}: {flag.advice}" for flag in self.flags]
+        if self.invalid:
+            lines += ["what was not valid:", *(f"  {what}" for what in self.invalid)]
         if self.reasons:
             lines += ["why it is not there:", *(f"  {reason}" for reason in self.reasons)]
         if self.bindings:
@@ -156,7 +160,14 @@ def explain(step: "Step", stuck: bool | None = None) -> Explanation:
         found = reasons(moment, solution) if is_stuck else ()
     bindings.sort(key=lambda binding: -abs(binding.multiplier))
     return Explanation(
-        step.status, flags, tuple(bindings), tuple(tasks), moment.share, tuple(passed), found
+        step.status,
+        flags,
+        tuple(bindings),
+        tuple(tasks),
+        moment.share,
+        tuple(passed),
+        found,
+        moment.invalid,
     )
 
 

@@ -285,14 +285,17 @@ class MethodEngine:
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the closed form's v at q (nq,) for a step of dt seconds.
 
-        Where it has none, as an inverse at a singularity or mink where no v keeps its limits, v is
-        the brake.
+        Where it has none, as an inverse at a singularity or mink where no v keeps its limits, or
+        where an evaluation cannot be used, v is the brake.
         """
         self.outside, self.fault = self.prepare(q, v_previous, dt), None
         qp = self.assembly.qp
         ask = Ask(self.problem, self.evaluation, self.assembly, self._rows, self._weight, dt)
         solution = Solution.at_rest(qp)
         solution.kkt = UNCERTIFIED
+        if self.evaluation.refused:
+            solution.v = np.clip(solution.v, qp.lb, qp.ub)
+            return solution
         try:
             found = self._method(ask)
         except ValueError as failure:

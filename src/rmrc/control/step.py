@@ -94,6 +94,7 @@ class Moment:
         "dt",
         "engine",
         "error",
+        "invalid",
         "q",
         "share",
         "v_previous",
@@ -109,8 +110,9 @@ class Moment:
         kept: Kept | None = None,
         rows: KeptRows | None = None,
         share: float = 1.0,
+        invalid: tuple[str, ...] = (),
     ):
-        self.engine = engine
+        self.engine, self.invalid = engine, invalid
         self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
         if kept is None:
             self._kept, self.share = engine.evaluation.keep(), engine.share
@@ -213,15 +215,17 @@ class Step:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the robot is stuck, as "out of reach by 0.23 m"; empty where it is not.
+        """Why an input was not valid, and why the robot is stuck; empty where neither is so.
 
-        They are found when they are asked for, with an evaluation for each dof.
+        As "q[2] is nan; the robot brakes" and "out of reach by 0.23 m". The latter are found when
+        they are asked for, with an evaluation for each dof.
         """
+        invalid = self.moment.invalid if self.flag_bits >> Status.INVALID_INPUT & 1 else ()
         if not self.flag_bits >> Status.STUCK & 1:
-            return ()
+            return invalid
         found = self.explain().reasons
         several = len({reason.task for reason in found}) > 1
-        return tuple(f"{r.task}: {r.what}" if several else r.what for r in found)
+        return (*invalid, *(f"{r.task}: {r.what}" if several else r.what for r in found))
 
     @property
     def error(self) -> Errors:

@@ -12,7 +12,7 @@ from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.slides import Slides
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
-from rmrc.qp.foreign import checked
+from rmrc.qp.foreign import checked, parts
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
@@ -174,10 +174,11 @@ class Rows:
         self, found: list[tuple[Array, Array]], limit: mink.Limit, dt: float
     ) -> None:
         constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
-        if constraint.G is None or constraint.h is None:
+        matrix, bound = parts("constraint", constraint, ("G", "h"))
+        if matrix is None or bound is None:
             return
-        rows = checked("G", constraint.G, (None, self._problem.model.nv))
-        upper = checked("h", constraint.h, (len(rows),), unlimited=True)
+        rows = checked("G", matrix, (None, self._problem.model.nv))
+        upper = checked("h", bound, (len(rows),), unlimited=True)
         found.append((rows[:, self._problem.dofs], upper / dt))
 
     def kept(self) -> "KeptRows":
