@@ -196,15 +196,16 @@ def _joints(moment: Moment, solution: Solution) -> list[Binding]:
 
 
 def _rows(moment: Moment, solution: Solution) -> list[Binding]:
-    """Return the active rows."""
-    assembly = moment.engine.assembly
-    found = []
+    """Return the active limits among the rows; several planes may stand for one speed."""
+    unit = moment.engine.assembly.unit
+    found: dict[tuple[str, str, str, float], float] = {}
     for k in np.flatnonzero(np.abs(solution.row_multiplier) > ACTIVE_MULTIPLIER).tolist():
         multiplier = float(solution.row_multiplier[k])
         kind, name, lower, upper = moment.named_row(k)
-        bound, side = (upper, "upper") if multiplier > 0.0 else (lower, "lower")
-        found.append(Binding(kind, name, side, bound, abs(multiplier) / assembly.unit))
-    return found
+        side, bound = ("upper", upper) if multiplier > 0.0 else ("lower", lower)
+        limit = (kind, name, side, bound)
+        found[limit] = found.get(limit, 0.0) + abs(multiplier) / unit
+    return [Binding(*limit, multiplier) for limit, multiplier in found.items()]
 
 
 def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:
