@@ -122,9 +122,7 @@ def _slowed(
         scale = float(edge / speed)
 
 
-def _worthwhile(
-    null: Array, free: Array, lower: Array, upper: Array
-) -> tuple[Array, float, Array]:
+def _worthwhile(null: Array, free: Array, lower: Array, upper: Array) -> tuple[Array, float, Array]:
     """Return v (n,) and s for which ½‖v_N‖² − ‖J⁺ẋ‖² s/10⁻⁶ is least, and what limits are worth.
 
     With t = s ‖J⁺ẋ‖ as one more joint it is the point of a box nearest to (J⁺ẋ/‖J⁺ẋ‖, 1) T, along
