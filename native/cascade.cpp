@@ -13,7 +13,7 @@ namespace {
 constexpr double infinity = std::numeric_limits<double>::infinity();
 // rmrc.qp.cascade
 constexpr double rank_share = 1e-9;      // RANK
-constexpr double fastest_weight = 1e-10;  // FASTEST
+constexpr double worth = 1e-6;  // WORTH
 constexpr double still = 1e-8;           // STILL
 constexpr double exact = 1e-12;          // EXACT
 constexpr double sound = 1e-7;           // SOUND
@@ -141,28 +141,32 @@ Status Cascade::fastest(const Level& level, QPSolver& solver) {
     row[count + 1] = dot(own, v_.data(), size_);
   }
   const int rank = reduction_.reduce(level.directed, count, rank_share);
-  bool wanted = false;
+  if (rank == 0) return Status::solved;
+  double square = 0.0;
   for (int r = 0; r < rank; ++r) {
     const double* row = reduction_.row(r);
     std::copy_n(row, count, E_.begin() + r * variables);
-    E_[r * variables + count] = -row[count];
+    square += row[count] * row[count] / dot(row, row, count);
     f_[r] = -row[count + 1];
-    wanted |= row[count] != 0.0;
   }
-  if (!wanted) return Status::solved;
+  const double least = std::sqrt(square);  // κ
+  // t = κ α, so that all variables are rates; there is no way along ẋ = 0.
+  for (int r = 0; r < rank; ++r) {
+    E_[r * variables + count] = least > 0.0 ? -reduction_.row(r)[count] / least : 0.0;
+  }
   std::fill_n(H_.begin(), variables * variables, 0.0);
-  for (int i = 0; i < count; ++i) H_[i * variables + i] = fastest_weight;
-  H_[count * variables + count] = 1.0;
+  for (int i = 0; i < variables; ++i) H_[i * variables + i] = 1.0;
   reduce(v_.data(), g_.data());
-  for (int i = 0; i < count; ++i) g_[i] *= fastest_weight;
-  g_[count] = -1.0;
+  g_[count] = -least / worth;
   bound(variables);
   lb_[count] = 0.0;
-  ub_[count] = 1.0;
-  const Status status = certified(solver, variables, rank);
+  ub_[count] = least;
+  // In the unit of α, as that of a cost whose largest weight is 1.
+  const double share = worth < square ? worth / square : 1.0;
+  const Status status = certified(solver, variables, rank, share);
   if (status == Status::infeasible) return Status::solved;  // the least squares takes over
   if (status != Status::solved) return status;
-  scale_ = std::min(scale_, step_[count]);
+  if (least > 0.0) scale_ = std::min(scale_, step_[count] / least);
   advance();
   return keep_free(E_.data(), rank, variables);
 }
@@ -299,18 +303,21 @@ Status Cascade::attempt(QPSolver& solver, const Program& written, int variables,
 }
 
 // Solve a level's program as it is written, and take over the multipliers.
-Status Cascade::certified(QPSolver& solver, int variables, int equalities) {
+Status Cascade::certified(QPSolver& solver, int variables, int equalities, double share) {
+  const Residuals before = residuals_;
   const Status status = attempt(solver, program(equalities), variables, false);
   if (status != Status::solved) return status;
+  residuals_.dual = std::max(before.dual, share * residuals_.dual);
+  residuals_.complementarity = std::max(before.complementarity, share * residuals_.complementarity);
   const double* y = solver.row_multiplier();
   if (whole_) {
-    for (int i = 0; i < size_; ++i) z_[i] += solver.bound_multiplier()[i];
+    for (int i = 0; i < size_; ++i) z_[i] += share * solver.bound_multiplier()[i];
   } else {
-    for (int i = 0; i < size_; ++i) z_[i] += y[i] / norm_[i];
+    for (int i = 0; i < size_; ++i) z_[i] += share * y[i] / norm_[i];
     y += size_;
   }
   const double* norm = norm_.data() + (whole_ ? 0 : size_);
-  for (int r = 0; r < limits_->rows; ++r) y_[r] += y[r] / norm[r];
+  for (int r = 0; r < limits_->rows; ++r) y_[r] += share * y[r] / norm[r];
   return status;
 }
 

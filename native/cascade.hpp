@@ -80,7 +80,7 @@ class Cascade {
   void weigh(const Level& level, const double* x, int column);
   void bound(int variables);
   Status attempt(QPSolver& solver, const Program& program, int variables, bool refusable);
-  Status certified(QPSolver& solver, int variables, int equalities);
+  Status certified(QPSolver& solver, int variables, int equalities, double share = 1.0);
   void advance();
   Status keep_free(const double* rows, int count, int stride);
 

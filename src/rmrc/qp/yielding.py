@@ -22,6 +22,8 @@ WEAK = 0.02
 """Share of ‖J‖ ‖v‖ that a motion for ẋ must give: less is a singularity, where it swings."""
 RESOLVED = 1e-12
 """Share of the largest element of W Wᵀ that rounding leaves its least eigenvalue."""
+SLIGHT = 1e-12
+"""A shorter v is rounding, rad/s or m/s."""
 AT_BOUND = 1e-7
 """A rate this close to its bound is at it, rad/s or m/s."""
 
@@ -105,11 +107,24 @@ class Yielding:
             preserved = [t for t in terms if t.preserve and t in self._curvature.exact]
             if not preserved:
                 continue
+            v = self._needed(preserved, v)
+            if float(np.linalg.norm(v)) < SLIGHT:
+                continue
             if self._curvature.passes(preserved, v, self._rate, self.dt):
                 return True
             if self._is_weak(preserved, v):
                 return True
         return False
+
+    def _needed(self, terms: Sequence[Term], v: Array) -> Array:
+        """Return the least motion (n,) that moves terms as v (n,) does: Jᵀ(J Jᵀ)⁻¹ J v.
+
+        What else v does, as for other tasks of the level, says nothing of the direction.
+        """
+        rows = np.vstack([self._exact_rows(term)[0] for term in terms])
+        gram = rows @ rows.T
+        gram.flat[:: len(gram) + 1] += RESOLVED * float(gram.diagonal().max(initial=0.0))
+        return rows.T @ np.linalg.solve(gram, rows @ v) if gram.any() else np.zeros_like(v)
 
     def _is_weak(self, terms: Sequence[Term], v: Array) -> bool:
         """Return whether terms that no cost draws hardly move at v (n,): ‖J v‖ < 0.02 ‖J‖ ‖v‖."""
