@@ -77,7 +77,7 @@ def two_hands(**second: object) -> rmrc.Config:
 def test_joints_say_that_two_targets_cannot_keep_times_of_their_own(differs: str) -> None:
     given = two_hands(**TWO[differs])
     for use in (rmrc.solve, check):
-        with pytest.raises(rmrc.ConfigError, match="'left' takes .* where 'right' takes"):
+        with pytest.raises(rmrc.ConfigError, match=r"'left' takes .* where 'right' takes"):
             use(given)
 
 

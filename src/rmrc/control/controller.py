@@ -368,7 +368,7 @@ class Controller:
         if self._frozen is not None:
             z = np.where(self._frozen, 0.0, z)  # a frozen joint is no limit that is in the way
         y = solution.row_multiplier
-        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2 or engine.share < 1.0:
+        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2 or engine.share < 1.0 or engine.passes:
             flags |= _LIMITED
         return flags
 

@@ -67,6 +67,8 @@ class PythonEngine:
     name = "python"
     fault: str | None = None
     """What ends a run: nothing does."""
+    passes = False
+    """Whether a command passes a limit of a joint: none does."""
 
     def __init__(self, problem: Problem):
         self.problem = problem

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.control.joint_bounds import JointBounds
+from rmrc.control.methods import PASSED
 from rmrc.control.reasons import Reason, reasons
 from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
+from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution
 
@@ -84,6 +86,21 @@ class Passed:
 
 
 @dataclass(frozen=True)
+class Broken:
+    """A limit of a joint that a command passes."""
+
+    limit: str
+    """Its kind, as the configuration names it."""
+    name: str
+    """The joint."""
+    by: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name} by {self.by:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
 class Explanation:
     """An account of one step."""
 
@@ -102,6 +119,8 @@ class Explanation:
     """Why the tasks are not there, of a step that is stuck."""
     invalid: tuple[str, ...] = ()
     """What was wrong with the inputs."""
+    broken: tuple[Broken, ...] = ()
+    """The limits of joints that the command of a method passes that keeps none, the most first."""
 
     @property
     def relief(self) -> Binding | None:
@@ -116,8 +135,11 @@ class Explanation:
             lines += ["why it is not there:", *(f"  {reason}" for reason in self.reasons)]
         if self.bindings:
             lines += ["what binds:", *(f"  {binding}" for binding in self.bindings)]
-        else:
+        elif not self.broken:
             lines.append("no limit binds")
+        if self.broken:
+            lines += ["what is passed, for the method keeps no limit of the kind:"]
+            lines += [f"  {broken.limit} limit of {broken}" for broken in self.broken]
         if self.share < 1.0:
             lines.append(
                 f"the command was shortened to {self.share:.0%}, to keep distances after the step"
@@ -155,7 +177,7 @@ def explain(step: "Step", stuck: bool | None = None) -> Explanation:
             *_rows(moment, solution),
         ]
         tasks = [_progressed(term, moment, step) for term in problem.terms if term.units]
-        passed = _passed(moment)
+        passed, broken = _passed(moment), _broken(moment, solution)
         is_stuck = Status.STUCK in flags if stuck is None else stuck
         found = reasons(moment, solution) if is_stuck else ()
     bindings.sort(key=lambda binding: -abs(binding.multiplier))
@@ -168,6 +190,7 @@ def explain(step: "Step", stuck: bool | None = None) -> Explanation:
         tuple(passed),
         found,
         moment.invalid,
+        tuple(broken),
     )
 
 
@@ -182,6 +205,19 @@ def _passed(moment: Moment) -> list[Passed]:
         if distance < -moment.engine.problem.resolution
     ]
     return sorted(found, key=lambda passed: -passed.by)
+
+
+def _broken(moment: Moment, solution: Solution) -> list[Broken]:
+    """Return the limits of joints that a command passes, the most first."""
+    if moment.engine.problem.config.method == "qp":
+        return []
+    bounds, qp, found = JointBounds(moment), moment.engine.assembly.qp, []
+    turning, dofs = turning_dofs(moment.engine.problem.model), moment.engine.problem.dofs
+    for side, beyond in (("lower", qp.lb - solution.v), ("upper", solution.v - qp.ub)):
+        for k in np.flatnonzero(beyond > PASSED).tolist():
+            unit = "rad/s" if turning[dofs[k]] else "m/s"
+            found.append(Broken(bounds.kind(k, side), bounds.name(k), float(beyond[k]), unit))
+    return sorted(found, key=lambda broken: -broken.by)
 
 
 def _joints(moment: Moment, solution: Solution) -> list[Binding]:

@@ -164,12 +164,13 @@ class Cascade:
         return solve(), reach
 
     def _fastest(self, level: Level, state: "_State") -> tuple[Solution, Array] | None:
-        """Maximise α − ½ 10⁻⁶ ‖v + N z‖²/κ² in J (v + N z) = α ẋ, 0 ≤ α ≤ 1; return J N, which fixes J v.
+        """Maximise α − ½ 10⁻⁶ ‖v + N z‖²/κ² in J (v + N z) = α ẋ, 0 ≤ α ≤ 1; return J N.
 
-        κ is the length of the least N z for α = 1: α is at its maximum where a motion gains more of
-        it than that costs, and v is continuous where it gains less. Only the part of ẋ that the free motion can give is asked for: at a singularity the rest is
-        lost; along ẋ = 0 nothing moves. Where even α = 0 is outside the limits, as for a joint on its way back into its range,
-        the level's least squares takes over.
+        J N fixes J v. κ is the length of the least N z for α = 1: α is at its maximum where a
+        motion gains more of it than that costs, and v is continuous where it gains less. Only the
+        part of ẋ that the free motion can give is asked for: at a singularity the rest is lost;
+        along ẋ = 0 nothing moves. Where even α = 0 is outside the limits, as for a joint on its
+        way back into its range, the level's least squares takes over.
         """
         if level.direction is None:
             return None

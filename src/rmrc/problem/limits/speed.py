@@ -148,7 +148,7 @@ class SpeedRows:
         return [ball.bend() for _, ball in self._balls if ball.curvature > 0.0]
 
     def excess(self, v: Array) -> float:
-        """Return by how much v (nv,) moves the frame too fast, at most, m/s or rad/s; ≤ 0 if not."""
+        """Return by how much v (nv,) moves the frame too fast, at most, in m/s or rad/s."""
         return max((ball.velocity(v)[1] - ball.largest for _, ball in self._balls), default=0.0)
 
     def share(self, brake: Array, v: Array) -> float:
