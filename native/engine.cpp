@@ -115,8 +115,6 @@ void Engine::descend(std::vector<LevelTasks> levels, LastMetric metric) {
   const auto rows = static_cast<std::size_t>(levels_->sizes().rows);
   missed_.resize(rows);
   gram_.resize(rows * rows);
-  exact_rows_.resize(rows * v_.size());
-  needed_.resize(v_.size());
   all_rows_.resize(rows);
   std::iota(all_rows_.begin(), all_rows_.end(), 0);
   gram_factor_.emplace(static_cast<int>(rows));

@@ -181,8 +181,6 @@ class Engine {
   bool passes(const double* v, Which which);
   template <class Which>
   bool is_weak(const double* v, Which which);
-  template <class Which>
-  void needed(const double* v, Which which);
   bool turns_back();
   void soften();
   double missed_softly();
@@ -260,8 +258,6 @@ class Engine {
   std::vector<double> curvature_;  // X of one program (n,)
   std::vector<double> exact_;      // a row of a hard task, or the shortest v that holds them (n,)
   std::vector<double> missed_, gram_;  // of what a level cannot get (rows,), (rows, rows)
-  std::vector<double> exact_rows_;     // of tasks that preserve their direction (rows, n)
-  std::vector<double> needed_;         // the least motion that moves them so (n,)
   std::vector<int> all_rows_;      // 0, 1, 2 …
   std::optional<Cholesky> gram_factor_;
   std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)

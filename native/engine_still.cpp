@@ -136,47 +136,13 @@ bool Engine::is_weak(const double* v, Which which) {
   return std::sqrt(moved) < weak * std::sqrt(lengths) * std::sqrt(dot(v, v, n));
 }
 
-// Find the least motion that moves some terms as v does: Jᵀ(J Jᵀ)⁻¹ J v.
-template <class Which>
-void Engine::needed(const double* v, Which which) {
-  const int n = size();
-  int m = 0;
-  std::fill(needed_.begin(), needed_.end(), 0.0);
-  for (const auto& term : rows_) {
-    if (!term->exact() || !which(*term)) continue;
-    for (int r = 0; r < term->data().rows; ++r, ++m) {
-      double* row = exact_rows_.data() + static_cast<long>(m) * n;
-      std::fill_n(row, n, 0.0);
-      term->exact_row(r, program_.rate, row);
-      missed_[m] = dot(row, v, n);
-    }
-  }
-  double largest = 0.0;
-  for (int r = 0; r < m; ++r) {
-    const double* row = exact_rows_.data() + static_cast<long>(r) * n;
-    for (int s = 0; s <= r; ++s) {
-      const double* other = exact_rows_.data() + static_cast<long>(s) * n;
-      gram_[r * m + s] = gram_[s * m + r] = dot(row, other, n);
-    }
-    largest = std::max(largest, gram_[r * m + r]);
-  }
-  if (!(largest > 0.0)) return;
-  for (int r = 0; r < m; ++r) gram_[r * m + r] += resolved * largest;
-  gram_factor_->factorize(gram_.data(), m, all_rows_.data(), m);
-  gram_factor_->forward(missed_.data());
-  gram_factor_->backward(missed_.data());
-  for (int r = 0; r < m; ++r) {
-    add_scaled(missed_[r], exact_rows_.data() + static_cast<long>(r) * n, needed_.data(), n);
-  }
-}
-
 // Whether V may rise for what preserves its direction, or it is near a singularity.
 bool Engine::turns_back() {
   if (!is_still()) return false;
   int k = 0;
   for (const LevelTasks& tasks : levels_->tasks()) {
     if (tasks.hard && !softened_) continue;
-    const double* v = cascade_->optimum(k++);
+    const double* v = cascade_->directed(k++);
     if (v == nullptr) return false;
     const auto directed = [&](const RowTerm& term) {
       return std::any_of(tasks.parts.begin(), tasks.parts.end(), [&](const auto& part) {
@@ -186,10 +152,8 @@ bool Engine::turns_back() {
     const bool any = std::any_of(rows_.begin(), rows_.end(), [&](const auto& term) {
       return term->exact() && directed(*term);
     });
-    if (!any) continue;
-    needed(v, directed);
-    if (std::sqrt(dot(needed_.data(), needed_.data(), size())) < slight) continue;
-    if (passes(needed_.data(), directed) || is_weak(needed_.data(), directed)) return true;
+    if (!any || std::sqrt(dot(v, v, size())) < slight) continue;
+    if (passes(v, directed) || is_weak(v, directed)) return true;
   }
   return false;
 }

@@ -293,7 +293,7 @@ class PythonEngine:
         assembly, cascade = self._assembly, self._cascade
         levels = assembly.levels()
         solution = cascade.solve(levels, assembly.qp)
-        if assembly.yielding.turns_back(cascade.optima):
+        if assembly.yielding.turns_back(cascade.directed):
             levels = assembly.levels(directed=False)
             solution = cascade.solve(levels, assembly.qp)
         if assembly.yielding.still and self.problem.curvature:

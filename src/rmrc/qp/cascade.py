@@ -24,6 +24,8 @@ RANK = 1e-9
 WORTH = 1e-6
 """What ½‖v‖²/κ² weighs beside α, for the least ‖v‖ = κ that α = 1 takes. What gains more of α for
 its length is found exactly; a rush that gains less, as in the null space, is not worth it."""
+BRISK = 10.0
+"""Most that κ counts for there, rad/s or m/s: near a singularity it has no bound."""
 POLISHED = 1e-10
 """A residual above this is worth a polish: the levels' programs can be nearly singular."""
 ATTEMPTS = (
@@ -80,6 +82,9 @@ class Cascade:
         """α of the last solve, the least of all preserved directions."""
         self.optima: list[Array] = []
         """v_k (n,) of the levels that were solved, the highest first."""
+        self.directed: list[Array | None] = []
+        """v (n,) of each level once its directions were found, before its other tasks were; where
+        they were not found, v_k, and None where nothing was."""
         self.deadline = math.inf
         """When solving has to end, s, by `time.perf_counter`."""
 
@@ -100,17 +105,19 @@ class Cascade:
         entry = self._enter(state)
         if entry is not None and entry.status is not SolveStatus.SOLVED:
             answer.v, answer.status = state.v, _unsolved(entry, SolveStatus.INFEASIBLE)
-            self.optima = [state.v]
+            self.optima, self.directed = [state.v], []
             return answer
         kkt = [KKT(0.0, 0.0, 0.0) if entry is None else entry.kkt]
-        self.optima = []
+        self.optima, self.directed = [], []
         for level, stage in (
             (level, s) for level in levels for s in (self._fastest, self._nearest)
         ):
             if not state.count:
                 break
-            if stage == self._fastest and level is not levels[0]:
-                self.optima.append(state.v)
+            if stage == self._fastest:
+                self.directed.append(None)
+                if level is not levels[0]:
+                    self.optima.append(state.v)
             found = stage(level, state)
             if found is None:
                 continue
@@ -122,6 +129,8 @@ class Cascade:
             state.add_multipliers(solution, answer)
             kkt.append(solution.kkt)
             state.move(solution.v, reach)
+            if self.directed[-1] is None:  # else it was found by the stage before
+                self.directed[-1] = state.v
         answer.v = state.v
         self.optima.append(state.v)
         primal, dual, complementarity = map(max, zip(*kkt, strict=True))
@@ -178,16 +187,16 @@ class Cascade:
         reach = state.reduced(jacobian.T).T
         left, sigma, _ = np.linalg.svd(reach, full_matrices=False)
         kept = sigma > RANK * max(1.0, float(sigma[0]))
-        left = left[:, kept]
+        left = left[:, kept] / sigma[kept]
         if not left.size:
             return None
         wanted = left.T @ rate
-        least = float(np.linalg.norm(wanted / sigma[kept]))  # κ
+        least = float(np.linalg.norm(wanted))  # κ
         qp, solve = self._program(state.count + 1, state.rows, left.shape[1])
         # t = κ α, so that all variables are rates; there is no way along ẋ = 0.
         along = state.count
         np.fill_diagonal(qp.H, 1.0)
-        qp.g[:along], qp.g[along] = state.reduced(state.v), -least / WORTH
+        qp.g[:along], qp.g[along] = state.reduced(state.v), -min(least, BRISK) / WORTH
         state.bound(qp)
         qp.lb[along], qp.ub[along] = 0.0, least
         qp.E[:, :along], qp.E[:, along] = left.T @ reach, -wanted / least if least else 0.0
@@ -198,7 +207,7 @@ class Cascade:
         if solution.status is SolveStatus.SOLVED and least:
             self.scale = min(self.scale, float(solution.v[along]) / least)
         # In the unit of α, as that of a cost whose largest weight is 1.
-        share = min(1.0, WORTH / least**2) if least else 1.0
+        share = min(1.0, WORTH / (least * min(least, BRISK))) if least else 1.0
         solution.v = solution.v[:along]
         solution.bound_multiplier = share * solution.bound_multiplier[:along]
         solution.row_multiplier = share * solution.row_multiplier

@@ -95,36 +95,24 @@ class Yielding:
         faster = float((np.abs(v[moves]) / self._fastest[moves]).max(initial=1.0))
         return self._curvature.passes(self.bending, v / faster, self._rate, self.dt)
 
-    def turns_back(self, optima: list[Array]) -> bool:
-        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level.
+    def turns_back(self, directed: Sequence[Array | None]) -> bool:
+        """Return whether V may rise for what preserves its direction, at the v (n,) that it takes.
 
+        That is v of each level without what its other tasks add, which says nothing of a direction.
         Nor is a direction kept near a singularity, where its joints rush and it hardly moves.
         """
         if not self.still:
             return False
         first = 1 if self.softened else 0
-        for terms, v in zip(self._levels, optima[first:], strict=False):
+        for terms, v in zip(self._levels, directed[first:], strict=False):
             preserved = [t for t in terms if t.preserve and t in self._curvature.exact]
-            if not preserved:
-                continue
-            v = self._needed(preserved, v)
-            if float(np.linalg.norm(v)) < SLIGHT:
+            if not preserved or v is None or float(np.linalg.norm(v)) < SLIGHT:
                 continue
             if self._curvature.passes(preserved, v, self._rate, self.dt):
                 return True
             if self._is_weak(preserved, v):
                 return True
         return False
-
-    def _needed(self, terms: Sequence[Term], v: Array) -> Array:
-        """Return the least motion (n,) that moves terms as v (n,) does: Jᵀ(J Jᵀ)⁻¹ J v.
-
-        What else v does, as for other tasks of the level, says nothing of the direction.
-        """
-        rows = np.vstack([self._exact_rows(term)[0] for term in terms])
-        gram = rows @ rows.T
-        gram.flat[:: len(gram) + 1] += RESOLVED * float(gram.diagonal().max(initial=0.0))
-        return rows.T @ np.linalg.solve(gram, rows @ v) if gram.any() else np.zeros_like(v)
 
     def _is_weak(self, terms: Sequence[Term], v: Array) -> bool:
         """Return whether terms that no cost draws hardly move at v (n,): ‖J v‖ < 0.02 ‖J‖ ‖v‖."""
