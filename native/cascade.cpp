@@ -15,6 +15,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double rank_share = 1e-9;      // RANK
 constexpr double worth = 1e-6;  // WORTH
 constexpr double brisk = 10.0;  // BRISK
+constexpr double lost = 0.02;   // LOST
 constexpr double still = 1e-8;           // STILL
 constexpr double exact = 1e-12;          // EXACT
 constexpr double sound = 1e-7;           // SOUND
@@ -152,15 +153,18 @@ Status Cascade::fastest(const Level& level, QPSolver& solver) {
   }
   const int rank = reduction_.reduce(level.directed, count, rank_share);
   if (rank == 0) return Status::solved;
-  double square = 0.0;
+  double square = 0.0, whole = 0.0, left = 0.0;
+  for (int r = 0; r < level.directed; ++r) whole += level.direction[r] * level.direction[r];
   for (int r = 0; r < rank; ++r) {
     const double* row = reduction_.row(r);
+    left += row[count] * row[count];
     const double sigma = std::sqrt(dot(row, row, count));
     double* unit = E_.data() + r * variables;
     for (int k = 0; k <= count; ++k) unit[k] = row[k] / sigma;
     square += unit[count] * unit[count];
     f_[r] = -row[count + 1] / sigma;
   }
+  if (left < lost * lost * whole) return Status::solved;  // the least squares takes over
   const double least = std::sqrt(square);  // κ
   // t = κ α, so that all variables are rates; there is no way along ẋ = 0.
   for (int r = 0; r < rank; ++r) {

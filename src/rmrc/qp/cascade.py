@@ -24,6 +24,8 @@ RANK = 1e-9
 WORTH = 1e-6
 """What ½‖v‖²/κ² weighs beside α, for the least ‖v‖ = κ that α = 1 takes. What gains more of α for
 its length is found exactly; a rush that gains less, as in the null space, is not worth it."""
+LOST = 0.02
+"""Share of ẋ that the free motion must be able to give, or there is no direction to preserve."""
 BRISK = 10.0
 """Most that κ counts for there, rad/s or m/s: near a singularity it has no bound."""
 POLISHED = 1e-10
@@ -187,9 +189,10 @@ class Cascade:
         reach = state.reduced(jacobian.T).T
         left, sigma, _ = np.linalg.svd(reach, full_matrices=False)
         kept = sigma > RANK * max(1.0, float(sigma[0]))
-        left = left[:, kept] / sigma[kept]
-        if not left.size:
+        left = left[:, kept]
+        if not left.size or np.linalg.norm(left.T @ rate) < LOST * np.linalg.norm(rate):
             return None
+        left = left / sigma[kept]
         wanted = left.T @ rate
         least = float(np.linalg.norm(wanted))  # κ
         qp, solve = self._program(state.count + 1, state.rows, left.shape[1])
