@@ -167,9 +167,11 @@ class Targets:
         """Return what is wrong with a target that was not taken."""
         kind, read = term.target_kind, self._configurations
         names = ("position", "quaternion", "velocity", "q", "direction")
-        given = dict(zip(names, (position, quaternion, velocity, q, direction), strict=True))
+        given: dict[str, Any] = dict(
+            zip(names, (position, quaternion, velocity, q, direction), strict=True)
+        )
         foreign = [names[k] for k in _FOREIGN[kind] if given[names[k]] is not None]
-        needed = {"point": "position", "rates": "velocity", "configuration": "q"}
+        needed: dict[str, str] = {"point": "position", "rates": "velocity", "configuration": "q"}
         needed["direction"] = "direction"
         if foreign:
             what = f"it takes no {foreign[0]}"
