@@ -90,6 +90,7 @@ void Engine::limit(Rows& limits, Shortening* shortening) {
   correction_.emplace(limits);
   for (auto* values : {&whole_, &shortened_, &first_z_}) values->resize(v_.size());
   for (auto* values : {&first_y_, &lower_, &upper_}) values->resize(limits.capacity());
+  if (limits.speed_count() > 0) plain_.resize(v_.size() * v_.size());
   renew_solver();
 }
 
@@ -162,12 +163,20 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   assemble(dt);
   if (equalities_ != nullptr) update_equalities();
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
-  const bool warm = warm_ && cascade_ == nullptr;
-  Ending ending = best();
-  if (!trusted(ending)) ending = descend_ladder(ending, warm);
+  Ending ending = certified_best();
+  while (cuts_ && in_time() && cut()) ending = certified_best();
+  slow_down();
   if (softened_ && missed_softly() > inconsistent) relaxed_ = true;
   if (shortening_ != nullptr && limits_->count() > 0) at_distance(dt);
+  if (bent_) std::copy(plain_.begin(), plain_.end(), program_.H);
   return ending;
+}
+
+// Solve the program; where that fails, return how what the ladder has ends.
+Ending Engine::certified_best() {
+  const bool warm = warm_ && cascade_ == nullptr;
+  const Ending ending = best();
+  return trusted(ending) ? ending : descend_ladder(ending, warm);
 }
 
 void Engine::evaluate(const double* q) {
@@ -194,7 +203,8 @@ void Engine::evaluate_terms() {
 
 bool Engine::assemble(double dt) {
   dt_ = dt;
-  moved_ = boxed_ = relaxed_ = false;
+  moved_ = boxed_ = relaxed_ = bent_ = false;
+  cuts_ = limits_ != nullptr && limits_->speed_count() > 0;
   share_ = 1.0;
   for (ForeignRows* term : foreign_) term->read();
   rates(dt);

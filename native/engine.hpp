@@ -190,6 +190,7 @@ class Engine {
   Ending attempt();
   Program program() const;
   Ending best();
+  Ending certified_best();
   Ending solve_levels();
   bool trusted(Ending ending) const;
   void renew_solver();
@@ -202,6 +203,8 @@ class Engine {
   Ending without_rows();
   Ending stop(Ending ending);
 
+  bool cut();
+  void slow_down();
   void at_distance(double dt);
   void keep_distances(double dt);
   bool misses() const;
@@ -233,6 +236,9 @@ class Engine {
   std::optional<LeastViolation> least_;
   bool moved_ = false, boxed_ = false, relaxed_ = false;
   bool softened_ = false;  // whether hard tasks that bend are a cost at this step
+  bool cuts_ = false;      // whether planes may be added, as nothing of the program was relaxed
+  bool bent_ = false;      // whether H has the curvature of speeds
+  std::vector<double> plain_;  // H without it (n, n)
   double share_ = 1.0;
   std::vector<double> lower_, upper_, right_;  // what limits were moved to
   std::vector<double> whole_, brake_, shortened_, first_z_, first_y_, first_w_;

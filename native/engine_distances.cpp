@@ -1,5 +1,6 @@
-// What of the engine's step keeps distances: its command, once the program is solved, is solved
-// again for the curvature of the step, or shortened (rmrc.control.engine, `_at_distance`).
+// What of the engine's step keeps distances and the speeds of frames: its command, once the program
+// is solved, is solved again for the curvature of the step or of the speeds, or shortened
+// (rmrc.control.engine, `_cut` and `_at_distance`).
 
 #include <algorithm>
 #include <cmath>
@@ -36,7 +37,9 @@ void Engine::at_distance(double dt) {
     std::copy_n(equalities_->arrays().multiplier, equalities_->count(), first_w_.begin());
   }
   relaxed_ = relaxed;
-  if (trusted(best())) {
+  Ending corrected = best();
+  while (trusted(corrected) && cut()) corrected = best();
+  if (trusted(corrected) && !(limits_->excess(v_.data()) > 0.0)) {
     keep_distances(dt);
     if (share_ > first.share + gained) return;
   }
@@ -80,26 +83,41 @@ bool Engine::is_forced() const {
 }
 
 // Whether a shortened command misses equalities, or is faster than a frame may be: of a speed its
-// norm counts, not the box inside it that the rows are.
+// norm counts, not the planes that stand for it.
 bool Engine::misses() const {
   const Program limits = program();
   for (int r = 0; r < limits.equalities; ++r) {
     const double* row = limits.E + static_cast<long>(r) * size();
     if (std::abs(dot(row, v_.data(), size()) - limits.f[r]) > certified) return true;
   }
-  const RowArrays& rows = limits_->arrays();
-  double worst = 0.0;
-  for (int first = 0; first < limits_->speed_count(); first += 3) {
-    double speed = 0.0, most = 0.0;
-    for (int row = first; row < first + 3; ++row) {
-      const double along =
-          dot(rows.matrix + static_cast<long>(row) * size(), v_.data(), size());
-      speed += along * along;
-      most += rows.upper[row] * rows.upper[row];
-    }
-    worst = std::max(worst, std::sqrt(speed) - std::sqrt(most));
+  return limits_->excess(v_.data()) > certified;
+}
+
+// Change the program where v moves frames too fast; return whether it was. The programs of a cascade
+// have no cost in common that the curvature could be added to.
+bool Engine::cut() {
+  const bool curved = cascade_ == nullptr;
+  if (curved && !bent_) std::copy_n(program_.H, plain_.size(), plain_.begin());
+  const bool changed =
+      limits_->cut(v_.data(), curved ? program_.H : nullptr, plain_.data());
+  bent_ |= curved && changed;
+  if (changed && moved_) {
+    std::copy_n(limits_->arrays().upper, limits_->speed_count(), upper_.begin());
   }
-  return worst > certified;
+  return changed;
+}
+
+// Have no frame faster than it may be, where v was not found by planes alone.
+void Engine::slow_down() {
+  if (limits_ == nullptr || limits_->speed_count() == 0 || limits_->excess(v_.data()) <= 0.0) {
+    return;
+  }
+  brake(brake_.data());
+  const double share = limits_->share_of_speeds(brake_.data(), v_.data());
+  if (share > 0.0 && share < 1.0) {
+    for (int i = 0; i < size(); ++i) v_[i] = brake_[i] + share * (v_[i] - brake_[i]);
+  }
+  relaxed_ |= misses();
 }
 
 }  // namespace rmrc

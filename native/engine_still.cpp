@@ -13,6 +13,7 @@ namespace {
 constexpr double longest = 3.0;    // rmrc.qp.curvature.LONGEST
 constexpr double weak = 0.02;      // rmrc.qp.yielding.WEAK
 constexpr double spared = 0.005;   // rmrc.qp.yielding.SPARED
+constexpr double slight = 1e-12;    // rmrc.qp.yielding.SLIGHT
 constexpr double resolved = 1e-12;  // rmrc.qp.yielding.RESOLVED
 constexpr double at_bound = 1e-7;  // rmrc.qp.yielding.AT_BOUND
 
@@ -141,7 +142,7 @@ bool Engine::turns_back() {
   int k = 0;
   for (const LevelTasks& tasks : levels_->tasks()) {
     if (tasks.hard && !softened_) continue;
-    const double* v = cascade_->optimum(k++);
+    const double* v = cascade_->directed(k++);
     if (v == nullptr) return false;
     const auto directed = [&](const RowTerm& term) {
       return std::any_of(tasks.parts.begin(), tasks.parts.end(), [&](const auto& part) {
@@ -151,7 +152,8 @@ bool Engine::turns_back() {
     const bool any = std::any_of(rows_.begin(), rows_.end(), [&](const auto& term) {
       return term->exact() && directed(*term);
     });
-    if (any && (passes(v, directed) || is_weak(v, directed))) return true;
+    if (!any || std::sqrt(dot(v, v, size())) < slight) continue;
+    if (passes(v, directed) || is_weak(v, directed)) return true;
   }
   return false;
 }

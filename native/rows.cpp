@@ -62,11 +62,10 @@ void Rows::update(const double* lb, const double* ub, double dt) {
   const int n = static_cast<int>(dofs_.size());
   count_ = 0;
   passed_ = false;
-  for (const SpeedRows& speed : speeds_) {
-    speed.write(place_.data(), n, arrays_.matrix + static_cast<long>(count_) * n,
-                arrays_.upper + count_);
+  for (SpeedRows& speed : speeds_) {
+    speed.write(arrays_.matrix + static_cast<long>(count_) * n, arrays_.upper + count_);
     for (int i = 0; i < speed.count(); ++i, ++count_) {
-      arrays_.lower[count_] = -arrays_.upper[count_];
+      arrays_.lower[count_] = -infinity;
       arrays_.ids[count_] = keys_[count_] = count_;
     }
   }
@@ -74,6 +73,33 @@ void Rows::update(const double* lb, const double* ub, double dt) {
   slides_.begin(now_.qpos, travel_.data());
   slides_.stretch(travel_.data(), dt);
   for (std::size_t k = 0; k < blocks_.size(); ++k) add_block(static_cast<std::int64_t>(k), dt);
+}
+
+bool Rows::cut(const double* v, double* H, const double* plain) {
+  const long n = static_cast<long>(dofs_.size());
+  bool changed = false;
+  long first = 0;
+  for (SpeedRows& speed : speeds_) {
+    const double* y = H == nullptr ? nullptr : arrays_.multiplier + first;
+    changed |= speed.cut(v, y, arrays_.matrix + first * n, arrays_.upper + first);
+    first += speed.count();
+  }
+  if (!changed || H == nullptr) return changed;
+  std::copy_n(plain, n * n, H);
+  for (const SpeedRows& speed : speeds_) speed.bend(H);
+  return true;
+}
+
+double Rows::excess(const double* v) const {
+  double worst = -infinity;
+  for (const SpeedRows& speed : speeds_) worst = std::max(worst, speed.excess(v));
+  return worst;
+}
+
+double Rows::share_of_speeds(const double* brake, const double* v) const {
+  double share = 1.0;
+  for (const SpeedRows& speed : speeds_) share = std::min(share, speed.share(brake, v));
+  return share;
 }
 
 void Rows::keep(Memory& memory) {

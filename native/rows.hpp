@@ -48,12 +48,25 @@ class Rows {
   int capacity() const { return capacity_; }
   int count() const { return count_; }
 
-  /// How many of the first rows are of speeds, three for each vector.
+  /// Change the rows, and H (n, n) if it is not null, where v (n,) moves frames too fast; return
+  /// whether anything has changed. H then becomes `plain` and the curvature of the speeds.
+  bool cut(const double* v, double* H, const double* plain);
+
+  /// By how much v (n,) moves a frame too fast, at most; ≤ 0 if it does not.
+  double excess(const double* v) const;
+
+  /// The share of v (n,), from a brake (n,) on, that moves no frame too fast; 0 where the brake does.
+  double share_of_speeds(const double* brake, const double* v) const;
+
+  /// How many of the first rows are of speeds.
   int speed_count() const { return speed_count_; }
   const RowArrays& arrays() const { return arrays_; }
   const Kinematics& now() const { return now_; }
   const MuJoCo& mujoco() const { return mujoco_; }
   const std::vector<int>& dofs() const { return dofs_; }
+
+  /// The columns of the dofs (nv,), −1 where one stands still.
+  const int* place() const { return place_.data(); }
 
   /// All barriers, those without a row included.
   const std::vector<Block>& blocks() const { return blocks_; }

@@ -119,6 +119,7 @@ class BoundRows {
       throw std::invalid_argument("the rows' arrays do not fit each other");
     }
     const int* place = native.stack().place;
+    v_previous_ = native.stack().v_previous;
     rows_ = std::make_unique<Rows>(
         native.mujoco(), now.arrays, native.dofs(), std::vector<int>(place, place + nv),
         std::move(inverse_acceleration),
@@ -165,7 +166,8 @@ class BoundRows {
       kept_.push_back(nb::cast(*array));
     }
     rows_->add(SpeedRows({position.data(), rotation.data(), reference.data(), std::move(dofs)},
-                         turned, linear, angular, rate.data(), rows_->mujoco().cdof));
+                         turned, linear, angular, rate.data(), v_previous_, rows_->place(),
+                         static_cast<int>(rows_->dofs().size()), rows_->mujoco().cdof));
   }
 
   void add_collision(double d_min, double detect, double gain, double push, Reading twist,
@@ -301,6 +303,7 @@ class BoundRows {
   }
 
   std::vector<nb::object> kept_;
+  const double* v_previous_ = nullptr;  // of the engine's stack
   Counts counts_;
   bool closed_ = false;
   std::unique_ptr<Rows> rows_;

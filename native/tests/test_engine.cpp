@@ -221,7 +221,7 @@ void expect(bool holds, const char* what, int step) {
 
 // The same arm with a pair of geoms, a plane, and a limit of its end's speed.
 struct LimitedFixture : Fixture {
-  static constexpr int capacity = 5;
+  static constexpr int capacity = 2 + rmrc::planes;
   Arm own;
   double matrix[capacity * joints], lower[capacity], upper[capacity], multiplier[capacity];
   std::int64_t ids[capacity];
@@ -250,7 +250,8 @@ struct LimitedFixture : Fixture {
         engine->mujoco(), arrays_of(arm), dofs, dofs, std::vector<double>(joints, 1.0 / strongest),
         rmrc::RowArrays{matrix, lower, upper, multiplier, ids, distance, slope, drift}, capacity);
     rows->add(rmrc::SpeedRows({arm.position, arm.rotation, arm.com, dofs}, false, quickest, infinity,
-                              rate + 6, arm.cdof));
+                              rate + 6, engine->stack().v_previous, rows->place(), joints,
+                              arm.cdof));
     std::vector<rmrc::Plane> planes{{rmrc::Anchor::body, 1, 1, -1, {1.0, 0.0, 0.0}, plane, dofs,
                                      std::vector<double>(levers, levers + joints)}};
     rows->add(std::make_unique<rmrc::Workspace>(std::move(planes), 0.85, 0.1, nullptr, joints));

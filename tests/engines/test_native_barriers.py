@@ -117,7 +117,7 @@ class Twins:
         largest = max(float(np.abs(expected.v).max()), LEAST_RATE)
         # Whether a distance that is just kept at the end of a step falls short of it, so that its
         # row is raised by what is to spare, is a matter of the last bit.
-        tie = np.abs(other.lo - qp.lo).max(initial=0.0) > SAME
+        tie = not np.allclose(other.lo, qp.lo, rtol=0.0, atol=SAME)
         tolerance = LADDER if slack or tie else SAME * largest
         assert np.abs(solution.v - expected.v).max() <= tolerance
         assert solution.status is expected.status

@@ -491,7 +491,7 @@ def test_the_summary_is_what_the_arrays_say() -> None:
     summary = summary_of()
     assert summary["steps"] == 4
     assert (summary["engine"], summary["backend"], summary["method"]) == ("python", "daqp", "qp")
-    assert summary["converged"] is True
+    assert summary["converged"] is False  # it has only just arrived
     assert summary["status"] == {"OK": 2, "LIMITED": 2}
     hand = summary["tasks"]["hand"]
     assert hand["rms"] == pytest.approx(np.sqrt((9 + 16 + 0 + 25e-8) / 4))
@@ -544,8 +544,18 @@ def test_rounding_is_no_violation() -> None:
 def test_converged_compares_the_end_of_the_run(
     final: list[float], converging: dict[str, tuple[int, ...]], converged: bool
 ) -> None:
-    error = {"hand": np.array([[0.0, 0.0], [9.0, 9.0], [0.0, 0.0], final])}
+    error = {"hand": np.vstack([np.full((2, 2), 9.0), np.zeros((9, 2)), final])}
     assert summary_of(error=error, converging=converging)["converged"] is converged
+
+
+@pytest.mark.parametrize(("dt", "window"), [(0.01, 10), (0.001, 100), (0.1, 10)])
+def test_a_run_has_converged_that_stays_within_tolerance(dt: float, window: int) -> None:
+    """For the last 0.1 s and 10 steps: one that swings through its target has not."""
+    error = np.zeros((200, 2))
+    error[-window - 1] = 9.0
+    assert summary_of(dt=dt, error={"hand": error})["converged"]
+    error[-window] = 9.0
+    assert not summary_of(dt=dt, error={"hand": error})["converged"]
 
 
 def test_a_run_without_steps_has_a_summary() -> None:

@@ -93,7 +93,7 @@ class DampingModel(Model):
 
 
 class ToleranceModel(Model):
-    """What `converged` means, at the end of the run."""
+    """What `converged` means: within it for the last 0.1 s of the run, and the last 10 steps."""
 
     position: Positive = 1e-3
     """m."""

@@ -10,6 +10,7 @@ from rmrc.config.models import Config
 from rmrc.control.aims import build_aims, build_obstacles, unfinished
 from rmrc.control.controller import Controller
 from rmrc.control.execution import build_execution
+from rmrc.control.follow import joint_timing
 from rmrc.control.methods import shortcomings
 from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
@@ -37,6 +38,8 @@ def check(config: Config) -> list[str]:
     problem = compile(config)
     aims = build_aims(problem)
     build_obstacles(problem)
+    if config.follow == "joint":
+        joint_timing(problem, aims)
     tasks = ", ".join(
         f"{term.name} ({term.type}, {'hard' if term.hard else f'level {term.level}'})"
         for term in problem.terms

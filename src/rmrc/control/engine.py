@@ -67,6 +67,8 @@ class PythonEngine:
     name = "python"
     fault: str | None = None
     """What ends a run: nothing does."""
+    passes = False
+    """Whether a command passes a limit of a joint: none does."""
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -82,6 +84,8 @@ class PythonEngine:
         self._dt = problem.dt
         """Length of the present step, s."""
         self._box_alone = not (self._rows.any or hard)
+        self._cuts = False
+        """Whether planes may be added to the present program, as nothing of it was relaxed."""
         self._cascade = Cascade(problem.dofs.size, self._new_backend) if problem.cascaded else None
         self.deadline = math.inf
         """When the step must be done, on the clock of `perf_counter`, s."""
@@ -160,16 +164,39 @@ class PythonEngine:
         self.scaled = False
         if self.evaluation.refused:
             return self._held_back(dt)
-        solution, assembly = self._best(), self._assembly
-        if not self._trusted(solution):
-            solution = self._descend_ladder(solution)
+        solution, assembly = self._certified(), self._assembly
+        while self._cuts and self._in_time() and self._cut(solution):
+            solution = self._certified()
+        self._slow_down(solution)
         if assembly.yielding.softened:
             self.relaxed |= assembly.yielding.misses(solution.v) > INCONSISTENT
         if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
             self.share = 1.0
+        self._rows.straighten(assembly.qp)
         return solution
+
+    def _certified(self) -> Solution:
+        """Return the optimum of the program, or what the ladder has in place of it."""
+        solution = self._best()
+        return solution if self._trusted(solution) else self._descend_ladder(solution)
+
+    def _cut(self, solution: Solution) -> bool:
+        """Change the program where its solution moves frames too fast; return whether it was.
+
+        The programs of a cascade have no cost in common that the curvature could be added to.
+        """
+        y = solution.row_multiplier if self._cascade is None else None
+        return self._rows.cut(self._assembly.qp, solution.v, y)
+
+    def _slow_down(self, solution: Solution) -> None:
+        """Have no frame faster than it may be, where a solution was not found by planes alone."""
+        rows = self._rows
+        if not rows.speed_count or rows.excess(solution.v) <= 0.0:
+            return
+        solution.v = rows.slowed(self._brake(), solution.v)
+        self.relaxed |= self._misses(solution.v)
 
     def _held_back(self, dt: float) -> Solution:
         """Return the brake, for a step of which a part cannot be used; it keeps distances."""
@@ -191,6 +218,7 @@ class PythonEngine:
         equalities = None if self.evaluation.refused else assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
         self._rows.update(assembly.qp, assembly.rate, dt)
+        self._cuts = True
         self._take_rows(equalities)
         return outside or self._rows.passed
 
@@ -221,6 +249,7 @@ class PythonEngine:
         solution, qp = self._elsewhere(self._from_cold(failed)), self._assembly.qp
         if self._trusted(solution):
             return solution
+        self._cuts = False
         if not (qp.lo.size or qp.f.size):
             return solution if self._feasible(solution) else self._stop(solution)
         if not self._feasible(solution) and self._in_time():
@@ -264,7 +293,7 @@ class PythonEngine:
         assembly, cascade = self._assembly, self._cascade
         levels = assembly.levels()
         solution = cascade.solve(levels, assembly.qp)
-        if assembly.yielding.turns_back(cascade.optima):
+        if assembly.yielding.turns_back(cascade.directed):
             levels = assembly.levels(directed=False)
             solution = cascade.solve(levels, assembly.qp)
         if assembly.yielding.still and self.problem.curvature:
@@ -392,7 +421,7 @@ class PythonEngine:
     def _misses(self, v: Array) -> bool:
         """Return whether a shortened command misses equalities, or rows that are no distances'.
 
-        Of the speed of a frame its norm counts, not the box inside it that the rows are.
+        Of the speed of a frame its norm counts, not the planes that stand for it.
         """
         qp, rows = self._assembly.qp, self._rows
         if qp.f.size and np.abs(qp.E @ v - qp.f).max() > CERTIFIED:
@@ -403,11 +432,8 @@ class PythonEngine:
         missed = np.maximum(qp.lo - activity, activity - qp.hi)
         for block in rows.blocks:
             missed[block.rows] = 0.0
-        frames = slice(rows.speed_count)
-        velocity, bound = activity[frames].reshape(-1, 3), qp.hi[frames].reshape(-1, 3)
-        missed[frames] = 0.0
-        too_fast = np.linalg.norm(velocity, axis=1) - np.linalg.norm(bound, axis=1)
-        return max(missed.max(initial=0.0), too_fast.max(initial=0.0)) > CERTIFIED
+        missed[: rows.speed_count] = 0.0
+        return max(missed.max(initial=0.0), rows.excess(v)) > CERTIFIED
 
     def _at_distance(self, solution: Solution, dt: float) -> Solution:
         """Return a solution that keeps distances: solved again for the curvature, or shortened."""
@@ -421,7 +447,9 @@ class PythonEngine:
         if not raise_rows(qp, self._rows.blocks, end, dt, self.problem.resolution):
             return solution
         corrected = self._best()
-        if not self._trusted(corrected):
+        while self._trusted(corrected) and self._cut(corrected):
+            corrected = self._best()
+        if not self._trusted(corrected) or self._rows.excess(corrected.v) > 0.0:
             return solution
         share, passed = self.share, self.relaxed
         self.relaxed = relaxed

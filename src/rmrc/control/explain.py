@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.control.joint_bounds import JointBounds
+from rmrc.control.methods import PASSED
 from rmrc.control.reasons import Reason, reasons
 from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
+from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution
 
@@ -84,6 +86,21 @@ class Passed:
 
 
 @dataclass(frozen=True)
+class Broken:
+    """A limit of a joint that a command passes."""
+
+    limit: str
+    """Its kind, as the configuration names it."""
+    name: str
+    """The joint."""
+    by: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name} by {self.by:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
 class Explanation:
     """An account of one step."""
 
@@ -102,6 +119,10 @@ class Explanation:
     """Why the tasks are not there, of a step that is stuck."""
     curvature: tuple[str, float, float] | None = None
     """The joint that the tasks' curvature damps most, by how much, and λ²; None without any."""
+    invalid: tuple[str, ...] = ()
+    """What was wrong with the inputs."""
+    broken: tuple[Broken, ...] = ()
+    """The limits of joints that the command of a method passes that keeps none, the most first."""
 
     @property
     def relief(self) -> Binding | None:
@@ -110,12 +131,17 @@ class Explanation:
 
     def __str__(self) -> str:
         lines = [f"{flag.name}: {flag.advice}" for flag in self.flags]
+        if self.invalid:
+            lines += ["what was not valid:", *(f"  {what}" for what in self.invalid)]
         if self.reasons:
             lines += ["why it is not there:", *(f"  {reason}" for reason in self.reasons)]
         if self.bindings:
             lines += ["what binds:", *(f"  {binding}" for binding in self.bindings)]
-        else:
+        elif not self.broken:
             lines.append("no limit binds")
+        if self.broken:
+            lines += ["what is passed, for the method keeps no limit of the kind:"]
+            lines += [f"  {broken.limit} limit of {broken}" for broken in self.broken]
         if self.share < 1.0:
             lines.append(
                 f"the command was shortened to {self.share:.0%}, to keep distances after the step"
@@ -159,7 +185,7 @@ def explain(step: "Step", stuck: bool | None = None) -> Explanation:
             *_rows(moment, solution),
         ]
         tasks = [_progressed(term, moment, step) for term in problem.terms if term.units]
-        passed = _passed(moment)
+        passed, broken = _passed(moment), _broken(moment, solution)
         is_stuck = Status.STUCK in flags if stuck is None else stuck
         found = reasons(moment, solution) if is_stuck else ()
         curvature = _curvature(moment)
@@ -173,6 +199,8 @@ def explain(step: "Step", stuck: bool | None = None) -> Explanation:
         tuple(passed),
         found,
         curvature,
+        moment.invalid,
+        tuple(broken),
     )
 
 
@@ -201,6 +229,19 @@ def _passed(moment: Moment) -> list[Passed]:
     return sorted(found, key=lambda passed: -passed.by)
 
 
+def _broken(moment: Moment, solution: Solution) -> list[Broken]:
+    """Return the limits of joints that a command passes, the most first."""
+    if moment.engine.problem.config.method == "qp":
+        return []
+    bounds, qp, found = JointBounds(moment), moment.engine.assembly.qp, []
+    turning, dofs = turning_dofs(moment.engine.problem.model), moment.engine.problem.dofs
+    for side, beyond in (("lower", qp.lb - solution.v), ("upper", solution.v - qp.ub)):
+        for k in np.flatnonzero(beyond > PASSED).tolist():
+            unit = "rad/s" if turning[dofs[k]] else "m/s"
+            found.append(Broken(bounds.kind(k, side), bounds.name(k), float(beyond[k]), unit))
+    return sorted(found, key=lambda broken: -broken.by)
+
+
 def _joints(moment: Moment, solution: Solution) -> list[Binding]:
     """Return the active bounds of the joints."""
     bounds, unit, found = JointBounds(moment), moment.engine.assembly.unit, []
@@ -213,15 +254,16 @@ def _joints(moment: Moment, solution: Solution) -> list[Binding]:
 
 
 def _rows(moment: Moment, solution: Solution) -> list[Binding]:
-    """Return the active rows."""
-    assembly = moment.engine.assembly
-    found = []
+    """Return the active limits among the rows; several planes may stand for one speed."""
+    unit = moment.engine.assembly.unit
+    found: dict[tuple[str, str, str, float], float] = {}
     for k in np.flatnonzero(np.abs(solution.row_multiplier) > ACTIVE_MULTIPLIER).tolist():
         multiplier = float(solution.row_multiplier[k])
         kind, name, lower, upper = moment.named_row(k)
-        bound, side = (upper, "upper") if multiplier > 0.0 else (lower, "lower")
-        found.append(Binding(kind, name, side, bound, abs(multiplier) / assembly.unit))
-    return found
+        side, bound = ("upper", upper) if multiplier > 0.0 else ("lower", lower)
+        limit = (kind, name, side, bound)
+        found[limit] = found.get(limit, 0.0) + abs(multiplier) / unit
+    return [Binding(*limit, multiplier) for limit, multiplier in found.items()]
 
 
 def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:

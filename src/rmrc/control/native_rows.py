@@ -136,6 +136,13 @@ class NativeRows(Rows):
         """Write the rows at the present kinematics, and read them."""
         self.native.update(qp.lb, qp.ub, dt)
         self.read()
+        first = 0
+        for speed, part in self._speeds:  # which `cut` goes on from
+            own = np.zeros((speed.count, self._problem.model.nv)), np.zeros(speed.count)
+            speed.write(self._problem.model, self._evaluation.v_previous, rate[part], *own)
+            rows = slice(first, first + speed.count)
+            self.matrix[rows], self.upper[rows] = own[0][:, self._problem.dofs], own[1]
+            first += speed.count
         mink_rows = self._mink_rows(dt)
         if mink_rows:
             rows, upper = (np.concatenate(parts) for parts in zip(*mink_rows, strict=True))

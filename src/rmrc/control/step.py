@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.evaluation import Evaluation, Kept
+from rmrc.problem.evaluation import Kept
 from rmrc.qp.program import Solution
 from rmrc.qp.rows import KeptRows
 
@@ -46,7 +46,8 @@ class Status(IntEnum):
 
 ADVICE = {
     Status.OK: "Solved; no limit is active.",
-    Status.LIMITED: "Solved; at least one limit is active, so the task may lag behind.",
+    Status.LIMITED: "Solved; a limit is active, so the task may lag behind, or passed by a method "
+    "that keeps none.",
     Status.SCALED: "A direction-preserving task runs slower than asked, to stay inside the limits.",
     Status.DAMPED: "The damping is above its floor: near a singularity, or far from the target.",
     Status.RECOVERING: "A joint or a distance is outside its limit and is moving back inside.",
@@ -63,19 +64,21 @@ class Errors(Mapping[str, Array]):
     """The true errors of the tasks by name, computed when they are asked for.
 
     A pose has the distance in m and the angle in rad, a point the distance in m, a direction
-    the angle in rad, joints the norm in rad.
+    the angle in rad, joints the norm over those that shift in m and over those that turn in rad.
+    Those of rates are of the command itself.
     """
 
-    __slots__ = ("_error", "_evaluation")
+    __slots__ = ("_evaluation", "_moment", "_v")
 
-    def __init__(self, evaluation: Evaluation, error: Array):
-        self._evaluation, self._error = evaluation, error
+    def __init__(self, moment: "Moment", v: Array):
+        self._evaluation, self._moment, self._v = moment.engine.evaluation, moment, v
 
     def __getitem__(self, name: str) -> Array:
         term = self._evaluation.problem.named(name)
         if not term.units:
             return np.zeros(0)
-        return term.measure(self._evaluation.error_of(self._error, term))
+        error = self._evaluation.error_of(self._moment.error, term)
+        return term.measure(term.after(error, self._moment.v_previous, self._v))
 
     def __iter__(self) -> Iterator[str]:
         return (term.name for term in self._evaluation.terms if term.units)
@@ -94,6 +97,7 @@ class Moment:
         "dt",
         "engine",
         "error",
+        "invalid",
         "q",
         "share",
         "v_previous",
@@ -109,8 +113,9 @@ class Moment:
         kept: Kept | None = None,
         rows: KeptRows | None = None,
         share: float = 1.0,
+        invalid: tuple[str, ...] = (),
     ):
-        self.engine = engine
+        self.engine, self.invalid = engine, invalid
         self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
         if kept is None:
             self._kept, self.share = engine.evaluation.keep(), engine.share
@@ -213,20 +218,30 @@ class Step:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the robot is stuck, as "out of reach by 0.23 m"; empty where it is not.
+        """Why an input was not valid, the limits that are passed, and why the robot is stuck.
 
-        They are found when they are asked for, with an evaluation for each dof.
+        As "q[2] is nan; the robot brakes", "passes the velocity limit of joint2 by 0.3 rad/s", of
+        methods that keep none, and "out of reach by 0.23 m". The last two are found when they are
+        asked for, those of what is stuck with an evaluation for each dof.
         """
-        if not self.flag_bits >> Status.STUCK & 1:
-            return ()
-        found = self.explain().reasons
+        invalid = self.moment.invalid if self.flag_bits >> Status.INVALID_INPUT & 1 else ()
+        limited = self.flag_bits >> Status.LIMITED & 1 and self.moment.engine.problem.config.method
+        stuck = self.flag_bits >> Status.STUCK & 1
+        if not (stuck or limited not in (0, "qp")):
+            return invalid
+        account = self.explain()
+        found = account.reasons if stuck else ()
         several = len({reason.task for reason in found}) > 1
-        return tuple(f"{r.task}: {r.what}" if several else r.what for r in found)
+        return (
+            *invalid,
+            *(f"passes the {p.limit} limit of {p}" for p in account.broken),
+            *(f"{r.task}: {r.what}" if several else r.what for r in found),
+        )
 
     @property
     def error(self) -> Errors:
         """True errors of the tasks before the step, by name."""
-        return Errors(self.moment.engine.evaluation, self.moment.error)
+        return Errors(self.moment, self.v)
 
     @property
     def status(self) -> Status:

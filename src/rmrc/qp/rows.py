@@ -12,7 +12,7 @@ from rmrc.problem.limits.barrier import Barrier, Near
 from rmrc.problem.limits.slides import Slides
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
-from rmrc.qp.foreign import checked
+from rmrc.qp.foreign import checked, parts
 from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class Rows:
             for limit in problem.speeds
         ]
         self.speed_count = sum(speed.count for speed, _ in self._speeds)
-        """How many of the first rows are of speeds, three for each vector."""
+        """How many of the first rows are of speeds."""
         self.any = bool(self.barriers or self._speeds or problem.mink_limits)
         """Whether there can be any."""
         self.count = 0
@@ -71,6 +71,7 @@ class Rows:
         """The barriers that have rows now."""
         self.passed = False
         """Whether a distance is below its limit."""
+        self._plain: Array | None = None  # H without the curvature of speeds, once it has any
         self._inverse_acceleration = 1.0 / problem.box.acceleration  # 0 where there is no limit
         self._stops = bool(self._inverse_acceleration.any())
         self._travel = np.zeros(model.nv)
@@ -88,8 +89,8 @@ class Rows:
         self.count = 0
         for speed, part in self._speeds:
             full, bound = np.empty((speed.count, problem.model.nv)), np.empty(speed.count)
-            speed.write(problem.model, rate[part], full, bound)
-            self._add(parts, full[:, dofs], -bound, bound)
+            speed.write(problem.model, self._evaluation.v_previous, rate[part], full, bound)
+            self._add(parts, full[:, dofs], np.full(bound.size, -np.inf), bound)
         # Without a limit 0 · ∞ would be no number.
         low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
         fastest = np.maximum(np.abs(low), np.abs(high))
@@ -120,6 +121,59 @@ class Rows:
     ) -> None:
         parts.append((rows, lower, upper))
         self.count += upper.size
+
+    def cut(self, qp: QP, v: Array, y: Array | None) -> bool:
+        """Change the rows of a program, and its H, where v (n,) moves frames too fast.
+
+        Return whether anything has changed: the program is then to be solved again. H is changed
+        only with the multipliers y of the rows, and is to be `straightened` afterwards.
+        """
+        if not self._speeds:
+            return False
+        dofs, changed, first = self._problem.dofs, False, 0
+        tangent, of_speeds = self._tangent(v), slice(self.speed_count)
+        full = np.zeros((self.speed_count, self._problem.model.nv))
+        full[:, dofs] = self.matrix[of_speeds]
+        for speed in self.speeds:
+            its = slice(first, first + speed.count)
+            multiplier = None if y is None else y[its]
+            changed |= speed.cut(tangent, multiplier, full[its], self.upper[its])
+            first += speed.count
+        if not changed:
+            return False
+        self.matrix[of_speeds] = full[:, dofs]
+        qp.C[of_speeds], qp.hi[of_speeds] = self.matrix[of_speeds], self.upper[of_speeds]
+        if y is not None:
+            if self._plain is None:
+                self._plain = qp.H.copy()
+            qp.H[:] = self._plain
+            for bend in (each for speed in self.speeds for each in speed.bends()):
+                qp.H += bend[np.ix_(dofs, dofs)]
+        return True
+
+    def straighten(self, qp: QP) -> None:
+        """Take what `cut` has added to a program's H out again."""
+        if self._plain is not None:
+            qp.H[:], self._plain = self._plain, None
+
+    def excess(self, v: Array) -> float:
+        """Return by how much v (n,) moves a frame too fast, at most, m/s or rad/s; ≤ 0 if not."""
+        tangent = self._tangent(v)
+        return max((speed.excess(tangent) for speed in self.speeds), default=0.0)
+
+    def slowed(self, brake: Array, v: Array) -> Array:
+        """Return v (n,) or what of it, from the brake b (n,) on, moves no frame too fast.
+
+        v itself where b is too fast as well.
+        """
+        start, end = self._tangent(brake), self._tangent(v)
+        share = min((speed.share(start, end) for speed in self.speeds), default=1.0)
+        return brake + share * (v - brake) if 0.0 < share < 1.0 else v
+
+    def _tangent(self, v: Array) -> Array:
+        tangent = np.zeros(self._problem.model.nv)
+        tangent[self._problem.dofs] = v
+        return tangent
 
     def _lower(
         self,
@@ -174,10 +228,11 @@ class Rows:
         self, found: list[tuple[Array, Array]], limit: mink.Limit, dt: float
     ) -> None:
         constraint = limit.compute_qp_inequalities(self._evaluation.configuration, dt)
-        if constraint.G is None or constraint.h is None:
+        matrix, bound = parts("constraint", constraint, ("G", "h"))
+        if matrix is None or bound is None:
             return
-        rows = checked("G", constraint.G, (None, self._problem.model.nv))
-        upper = checked("h", constraint.h, (len(rows),), unlimited=True)
+        rows = checked("G", matrix, (None, self._problem.model.nv))
+        upper = checked("h", bound, (len(rows),), unlimited=True)
         found.append((rows[:, self._problem.dofs], upper / dt))
 
     def kept(self) -> "KeptRows":
@@ -202,16 +257,18 @@ class KeptRows:
     upper: Array
 
     def described(self, row: int) -> tuple[str, str, float, float]:
-        """Return the kind of limit that a row belongs to, what it is of, its lo and its hi."""
-        return *self._named(row), float(self.lower[row]), float(self.upper[row])
+        """Return the kind of limit that a row belongs to, what it is of, its lo and its hi.
 
-    def _named(self, row: int) -> tuple[str, str]:
+        Of the planes that stand for a speed they are those of the speed.
+        """
         first = 0
         for speed in self.speeds:
             if row < first + speed.count:
-                return "speed", speed.limit.task
+                half, largest = speed.half_of(row - first)
+                return "speed", f"{speed.limit.task} ({half})", 0.0, largest
             first += speed.count
+        bounds = float(self.lower[row]), float(self.upper[row])
         for barrier, ids, rows in self.blocks:
             if rows.start <= row < rows.stop:
-                return barrier.kind, barrier.name(int(ids[row - rows.start]))
-        return "mink", f"row {row - first}"
+                return barrier.kind, barrier.name(int(ids[row - rows.start])), *bounds
+        return "mink", f"row {row - first}", *bounds

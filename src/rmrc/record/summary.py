@@ -1,5 +1,6 @@
 """A run in numbers: what `--json` prints and the manifest keeps."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ from rmrc.record.channels import Channel, positions, rates
 
 Array = NDArray[np.float64]
 
+# A run has converged whose errors are within tolerance for so long, s, and so many steps.
+SETTLED, SETTLED_STEPS = 0.1, 10
 # Less than this outside a limit (rad, m, and their rates) is rounding, not a violation.
 ROUNDING = 1e-9
 
@@ -48,14 +51,15 @@ def summarize(
         engine: Name of the engine.
         backend: Name of the QP backend.
         method: Name of the method.
-        tolerance: Largest error at the end that counts as converged, by unit.
+        tolerance: Largest error in the last 0.1 s, and 10 steps, that counts as converged, by unit.
         converging: The tasks that must converge, and which columns of their errors.
         least: The least room of each kind of limit on distances and speeds, its unit, and what it
             is of.
         resolution: How finely distances are kept, m.
     """
+    last = slice(-max(SETTLED_STEPS, math.ceil(SETTLED / dt - ROUNDING)), None)
     converged = len(q) > 0 and all(
-        bool(error[name][-1, column] <= tolerance[tasks[name]["units"][column]])
+        bool((error[name][last, column] <= tolerance[tasks[name]["units"][column]]).all())
         for name, columns in converging.items()
         for column in columns
     )
