@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from rmrc.errors import RmrcError
 from rmrc.record import folder as folder_module
+from rmrc.record import run as record_run
 from rmrc.record.channels import positions, rates
 from rmrc.record.run import FORMAT, MANIFEST, REPORT, TRAJECTORY, Run
 from rmrc.record.summary import summarize
@@ -31,6 +33,8 @@ STATUSES = [
     "INVALID_INPUT",
 ]
 TOLERANCE = {"m": 1e-3, "rad": 1e-2}
+SAVERS = 6
+"""That save one folder at once."""
 
 
 def hinge(name: str, address: int, dof: int, half_range: float | None = 2.8) -> dict[str, Any]:
@@ -288,23 +292,55 @@ def test_a_crash_leaves_the_folder_absent_or_as_it_was(
         assert len(Run.load(tmp_path / "run").time) == 5
 
 
+@pytest.mark.parametrize("failing_call", [2, 3])  # the first finds the old run in its way
 def test_a_crash_between_the_two_renamings_puts_the_old_run_back(
-    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, failing_call: int
 ) -> None:
     before, rename, calls = contents(folder), Path.rename, []
 
-    def fail_second(path: Path, target: Path) -> Path:
+    def fail_once(path: Path, target: Path) -> Path:
         calls.append(path)
-        if len(calls) == 2:
+        if len(calls) == failing_call:
             raise OSError("disk")
         return rename(path, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "rename", fail_second)
+        patch.setattr(Path, "rename", fail_once)
         with pytest.raises(RmrcError, match="disk"):
             run.save(folder, overwrite=True, report=False)
     assert contents(folder) == before
     assert list(folder.parent.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize("there_is", ["nothing", "an empty folder"])
+def test_of_several_that_save_a_folder_at_once_one_wins(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there_is: str
+) -> None:
+    if there_is != "nothing":
+        (tmp_path / "same").mkdir()
+    several = Barrier(SAVERS)
+    write_arrays = record_run._write_arrays
+
+    def wait_for_all(path: Path, arrays: dict[str, Any]) -> None:
+        several.wait()  # by now each of them has found the folder free
+        write_arrays(path, arrays)
+
+    monkeypatch.setattr(record_run, "_write_arrays", wait_for_all)
+
+    def save(seed: int) -> str:
+        manifest = run.manifest | {"seed": seed}
+        try:
+            replace(run, manifest=manifest).save(tmp_path / "same", report=False)
+        except RmrcError as mistake:
+            return str(mistake)
+        return f"saved {seed}"
+
+    with ThreadPoolExecutor(SAVERS) as pool:
+        said = list(pool.map(save, range(SAVERS)))
+    (saved,) = [text for text in said if text.startswith("saved")]
+    assert f"saved {Run.load(tmp_path / 'same').manifest['seed']}" == saved
+    assert sum("already holds a run" in text for text in said) == SAVERS - 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "same"]
 
 
 def test_a_run_is_shown_in_one_line(run: Run) -> None:
