@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rmrc.cli import main
 from rmrc.errors import RmrcError
 from rmrc.record import folder as folder_module
 from rmrc.record import run as record_run
 from rmrc.record.channels import positions, rates
+from rmrc.record.form import check_manifest
+from rmrc.record.report import write_report
 from rmrc.record.run import FORMAT, MANIFEST, REPORT, TRAJECTORY, Run
 from rmrc.record.summary import summarize
 
@@ -428,7 +431,7 @@ def truncated(folder: Path) -> None:
         (written(MANIFEST, b"\xff\xfe"), r"run.json' is damaged"),
         (written(MANIFEST, b"[1]"), "is not a run's manifest"),
         (edited(lambda m: m.update(format=2)), "has format 2, and this version reads format 1"),
-        (edited(lambda m: m.pop("tasks")), "the manifest has no 'tasks'"),
+        (edited(lambda m: m.pop("tasks")), "damaged: tasks: the key 'tasks' is missing"),
         (edited(lambda m: m.update(model=[])), r"run.json' is damaged"),
         (
             edited(lambda m: m.update(statuses=["OK"])),
@@ -444,6 +447,16 @@ def truncated(folder: Path) -> None:
             r"'q' has the shape \(199, 7\), and \(200, 7",
         ),
         (rearranged(lambda a: a.update(time=a["time"][1:])), r"'q' has the shape"),
+        (rearranged(lambda a: a.update(time=a["time"] % 0.1)), "'time' does not rise after row 49"),
+        (
+            edited(lambda m: m["model"]["joints"][2].update(qpos="1")),
+            r"run.json' is damaged: model.joints\[2\].qpos: .* not the text '1'",
+        ),
+        (
+            edited(lambda m: m["model"]["joints"][2].update(qpos=7)),
+            r"model.joints\[2\].qpos: 7 leaves no place for a hinge joint among 7",
+        ),
+        (edited(lambda m: m["summary"].update(steps=3)), "200 rows, and summary.steps is 3"),
         (rearranged(lambda a: a.update(v=a["q"][:, :3])), r"'v' has the shape \(200, 3\)"),
         (rearranged(lambda a: a.update(kkt=np.array(["x"] * 200))), "'kkt' holds <U1, not numbers"),
         (rearranged(lambda a: a.update(kkt=np.array([{}] * 200))), "trajectory.npz' is damaged"),
@@ -455,6 +468,61 @@ def test_loading_says_what_is_wrong(
     damage(folder)
     with pytest.raises(RmrcError, match=message):
         Run.load(folder)
+
+
+def places(value: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Yield the place of each value below a value."""
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, item in items:
+        yield (*place, key)
+        if isinstance(item, (dict, list)):
+            yield from places(item, (*place, key))
+
+
+def changed(manifest: dict[str, Any], place: tuple[str | int, ...], value: Any) -> dict[str, Any]:
+    """Return a manifest with another value at a place, or none for `...`."""
+    new = json.loads(json.dumps(manifest))
+    *way, last = place
+    above: Any = new
+    for key in way:
+        above = above[key]
+    if value is ...:
+        del above[last]
+    else:
+        above[last] = value
+    return new
+
+
+@pytest.mark.parametrize("wrong", [..., None, "x", [1], {"a": []}, -5, 1.5, True], ids=repr)
+def test_a_manifest_with_a_wrong_value_anywhere_is_refused_or_still_makes_a_report(
+    wrong: Any, tmp_path: Path
+) -> None:
+    run = fabricated({"nq": 1, "nv": 1, "joints": [hinge("joint1", 0, 0)]}, steps=20)
+    said = []
+    for place in places(run.manifest):
+        manifest = changed(run.manifest, place, wrong)
+        try:
+            check_manifest(manifest)
+            another = replace(run, manifest=manifest)
+        except RmrcError as mistake:
+            said.append((str(mistake), {str(key) for key in place}))
+        else:
+            write_report(another, tmp_path / "report.html")
+    assert len(said) > 20
+    assert all(any(key in mistake for key in keys) for mistake, keys in said)
+
+
+@pytest.mark.parametrize("name", ["time", "q", "v", "step_time"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_in_a_trajectory_is_named(
+    folder: Path, name: str, value: float, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    rearranged(lambda a: a[name].__setitem__((3, ...), value))(folder)
+    monkeypatch.setattr("sys.argv", ["rmrc", "report", str(folder)])
+    with pytest.raises(SystemExit) as exit:
+        main()
+    assert exit.value.code == 2
+    assert f"array '{name}' is not finite in row 3" in capsys.readouterr().err
 
 
 def test_loading_what_is_no_folder_says_so(tmp_path: Path) -> None:
