@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.errors import printable
 from rmrc.problem.evaluation import Evaluation, Kept
 from rmrc.qp.program import Solution
 from rmrc.qp.rows import KeptRows
@@ -221,7 +222,7 @@ class Step:
             return ()
         found = self.explain().reasons
         several = len({reason.task for reason in found}) > 1
-        return tuple(f"{r.task}: {r.what}" if several else r.what for r in found)
+        return tuple(printable(f"{r.task}: {r.what}" if several else r.what) for r in found)
 
     @property
     def error(self) -> Errors:

@@ -1,10 +1,9 @@
 """The report of a run: its summary, and its errors, joints and statuses over time."""
 
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rmrc.record.page import badge, card, cell, quantity, write_page
+from rmrc.record.page import badge, card, cell, escape, quantity, write_page
 from rmrc.record.plots import panels, status_colour, step_length
 
 if TYPE_CHECKING:
