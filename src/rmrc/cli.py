@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape as escape_markup
 from rich.table import Table
 
+from rmrc.__main__ import INTERRUPTED
 from rmrc.errors import RmrcError, printable, printable_lines
 
 NOT_CONVERGED, WRONG_INPUT, OUR_FAULT = 1, 2, 3
@@ -44,7 +45,11 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(NOT_CONVERGED)
     except KeyboardInterrupt:
-        _complain("interrupted", NOT_CONVERGED)
+        _complain("interrupted", INTERRUPTED)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:  # typer's, which says nothing
+            _complain("interrupted", INTERRUPTED)
+        raise
     except OSError as failure:
         _complain(str(failure), WRONG_INPUT)
     except Exception as fault:  # the last resort: a traceback is for us, not for users
