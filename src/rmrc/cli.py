@@ -149,10 +149,10 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
             _add_task(table, "  orientation", numbers["orientation"])
     console.print(table)
     for name, limit in summary["limits"].items():
+        if started := limit.get("started_outside"):
+            console.print(f"[yellow]started outside by {_passed(started)}[/]")
         if limit["max_violation"]:
-            joint = f" ({_escape(limit['joint'])})" if limit.get("joint") else ""
-            excess = f"{limit['max_violation']:.3g} {limit['unit']}"
-            console.print(f"[red]{name} limit passed by {excess}{joint}[/]")
+            console.print(f"[red]{name} limit passed by {_passed(limit)}[/]")
     counts = ", ".join(f"{name} {count}" for name, count in summary["status"].items())
     time = summary["step_time_us"]
     verdict = "[green]converged[/]" if summary["converged"] else "[red]not converged[/]"
@@ -169,6 +169,12 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
         f"run folder: {_escape(str(folder))} · look at {_escape(str(folder / 'report.html'))}",
         soft_wrap=True,
     )
+
+
+def _passed(limit: dict[str, Any]) -> str:
+    """Return how far a limit is passed, and by which joint."""
+    joint = f" ({_escape(limit['joint'])})" if limit.get("joint") else ""
+    return f"{limit['max_violation']:.3g} {limit['unit']}{joint}"
 
 
 def _add_task(table: Table, name: str, numbers: dict[str, Any]) -> None:

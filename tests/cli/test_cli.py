@@ -51,6 +51,20 @@ def test_report_and_show_and_schema_and_check(tmp_path: Path) -> None:
     assert "the damping is the default, λ = 0.01" in checked.stdout
 
 
+def test_a_run_that_starts_outside_and_comes_back_exits_0(tmp_path: Path) -> None:
+    scene = REPOSITORY / "scenes" / "planar_3r.xml"
+    (tmp_path / "out.yaml").write_text(
+        f"scene: {scene}\nstart: home\nduration: 0.5\n"
+        "tasks: [{name: posture, type: posture, B: 0.0}]\n"
+        "limits: {position: {joint1: [0.6, 2.0]}}\n"
+    )
+    done = rmrc("solve", "out.yaml", "--out", "run", cwd=tmp_path)
+    assert "started outside by" in done.stdout, done.stdout + done.stderr
+    assert "passed by" not in done.stdout
+    assert done.returncode == 0
+    assert "started outside by" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+
+
 def broken(tmp_path: Path) -> dict[str, tuple[object, ...]]:
     """Return command lines that are wrong, each in its own way."""
     binary = tmp_path / "binary.yaml"

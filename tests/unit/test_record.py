@@ -350,6 +350,44 @@ def test_a_run_is_shown_in_one_line(run: Run) -> None:
     assert repr(run) == "<Run 'reach' of 200 steps>"
 
 
+# Starts outside
+
+
+def outside(start: float, *values: float) -> dict[str, Any]:
+    """Return what the summary says of the position limits of a rail that ends at 1 m."""
+    rail = np.array([start, *values])
+    rows = {
+        "q": np.stack([rail, 0.0 * rail], axis=1),
+        "v": np.zeros((rail.size, 2)),
+        "status": np.zeros(rail.size, dtype=np.uint8),
+        "error": {"hand": np.zeros((rail.size, 2))},
+        "step_time": np.ones(rail.size),
+    }
+    return summary_of(**rows)["limits"]["position"]
+
+
+def test_a_joint_that_starts_outside_and_comes_back_passes_no_limit() -> None:
+    found = outside(1.2, 1.15, 1.2, 0.9, 0.8)
+    assert found["max_violation"] == 0.0
+    assert found["started_outside"]["max_violation"] == pytest.approx(0.2)
+    assert found["started_outside"]["joint"] == "rail"
+    assert outside(0.9, 0.95)["started_outside"] is None
+
+
+@pytest.mark.parametrize(
+    ("way", "by"),
+    [
+        ((1.2, 1.3, 0.9), 0.3),  # further out than it started
+        ((1.2, 0.9, 1.1, 0.9), 0.1),  # out again
+        ((1.2, 1.15, 1.1), 0.1),  # not back at the end
+    ],
+)
+def test_what_happens_after_a_start_outside_counts(way: tuple[float, ...], by: float) -> None:
+    found = outside(*way)
+    assert found["max_violation"] == pytest.approx(by)
+    assert found["started_outside"]["max_violation"] == pytest.approx(0.2)
+
+
 # Numbered folders
 
 
@@ -613,6 +651,7 @@ def test_violations_are_the_largest_excess_with_its_joint() -> None:
         "max_violation": pytest.approx(0.02),
         "joint": "rail",
         "unit": "m",
+        "started_outside": None,
     }
     assert limits["velocity"] == {
         "max_violation": pytest.approx(0.1),

@@ -83,10 +83,14 @@ class _Numbers(_Column):
     orientation: _Column | None = None
 
 
-class _Limit(_Form):
+class _Passed(_Form):
     max_violation: Number
     joint: str | None
     unit: str | None
+
+
+class _Limit(_Passed):
+    started_outside: _Passed | None = None
 
 
 class _Times(_Form):

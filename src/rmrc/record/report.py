@@ -63,6 +63,9 @@ def _limits(run: "Run") -> str:
         none = "off" if wanted.get(kind) in ("off", [], {}) else "none"
         passed = quantity(excess, limit["unit"]) if excess else none
         rows.append([cell(kind, limit["joint"] or ""), cell(passed, bad=bool(excess))])
+        if started := limit.get("started_outside"):
+            by = quantity(started["max_violation"], started["unit"])
+            rows.append([cell("started outside by", started["joint"]), cell(by)])
     return card("Limits", ("limit", "violation"), rows)
 
 
