@@ -10,7 +10,7 @@ namespace rmrc {
 namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
-constexpr double range_rounding = 1e-9;  // a joint this little outside its range is on it
+constexpr double range_rounding = 1e-9;  // rmrc.problem.limits.box.RANGE_ROUNDING
 constexpr double far = 1e12;             // stands for the room of a joint without a range
 
 // The largest speed from which a joint can stop in its room; any where it has none to stop in.

@@ -16,9 +16,9 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.controller.FAILED and rmrc.control.step.Status.INVALID_INPUT
-constexpr unsigned invalid_input = 1u << 10;
-constexpr unsigned failed = (1u << 7) | (1u << 8) | (1u << 9) | invalid_input;
+constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.step.Status.INVALID_INPUT
+// rmrc.control.controller.FAILED
+constexpr unsigned failed = (1u << 7) | (1u << 8) | (1u << 9) | (1u << 10);
 
 // Interned names of this process.
 struct Names {

@@ -17,6 +17,7 @@ from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
 from rmrc.problem.limits.joints import joint_name
 from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import square_root
 
 SHOWN = 6
 """Distances or tasks that a line names."""
@@ -55,6 +56,7 @@ def check(config: Config) -> list[str]:
         *_too_near(problem),
         *_slow_rows(problem, controller),
         *_curvature(problem, controller),
+        *_slow_levels(problem, controller),
         *unfinished(aims, config),
         *problem.notices,
     ]
@@ -130,6 +132,35 @@ def _curvature(problem: Problem, controller: Controller) -> list[str]:
         f"the curvature of a task that is {OFF:g} m or rad off adds to λ² = "
         f"{problem.damping**2:.2g}: {'; '.join(lines[:SHOWN])}{more}"
     ]
+
+
+def _slow_levels(problem: Problem, controller: Controller) -> list[str]:
+    """Return which lower levels λ² slows down by more than half, at the start.
+
+    Where the levels above leave a task free its error decays at K s/(s + λ²), with s an eigenvalue
+    of JᵀBJ; of the joints' own, s = B.
+    """
+    square = problem.damping**2
+    if problem.config.method != "qp":
+        return []
+    evaluation, lines = controller.engine.evaluation, []
+    evaluation.update(problem.start)
+    evaluation.evaluate()
+    for term in evaluation.terms:
+        if term.hard or term.preserve or not term.level or not term.gain:
+            continue
+        root = square_root(term.weight * problem.soft_ratio**term.level)
+        rows = np.diag(root) if root.ndim == 1 else root
+        if not term.joint:
+            rows = rows @ evaluation.jacobian[evaluation.rows_of([term])]
+        weight = float(np.linalg.norm(rows[:, problem.dofs], 2)) ** 2
+        if 0.0 < weight < square:
+            lines.append(
+                f"{term.name} decays at {100 * weight / (weight + square):.2g} % of its gain or "
+                f"less: on level {term.level} it weighs {weight:.2g}, and λ² is {square:.2g}; "
+                "for more raise its B, or lower λ"
+            )
+    return lines
 
 
 def _too_near(problem: Problem) -> list[str]:

@@ -2,6 +2,7 @@
 
 import math
 from time import perf_counter
+from typing import NoReturn
 
 import mujoco
 import numpy as np
@@ -13,7 +14,7 @@ from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
 from rmrc.control.quick import quick_step, quick_target
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
-from rmrc.errors import ModelError, unknown_name
+from rmrc.errors import ModelError, RmrcError, unknown_name
 from rmrc.problem.frames import names
 from rmrc.problem.limits.box import braking
 from rmrc.problem.problem import Problem
@@ -78,6 +79,12 @@ class Controller:
         self.failures = 0
         """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
+
+    def __reduce__(self) -> NoReturn:
+        raise RmrcError(
+            "a Controller cannot be copied or pickled: it holds the memory of a solver. "
+            "Make another with Controller(problem) and `reset` it to the same q and v"
+        )
 
     def reset(
         self,

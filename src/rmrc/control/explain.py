@@ -11,6 +11,7 @@ from rmrc.control.joint_bounds import JointBounds
 from rmrc.control.methods import PASSED
 from rmrc.control.reasons import Reason, reasons
 from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
+from rmrc.errors import printable
 from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution
@@ -166,7 +167,7 @@ class Explanation:
                 f"what would help most: relaxing the {self.relief.limit} limit of "
                 f"{self.relief.name}"
             )
-        return "\n".join(lines)
+        return "\n".join(map(printable, lines))
 
 
 def explain(step: "Step", stuck: bool | None = None) -> Explanation:

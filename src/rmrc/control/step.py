@@ -2,15 +2,20 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from copy import deepcopy
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.errors import printable
 from rmrc.problem.evaluation import Kept
+from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution
-from rmrc.qp.rows import KeptRows
+from rmrc.qp.rows import KeptRows, PackedRows
 
 if TYPE_CHECKING:
     from rmrc.control.engine import PythonEngine
@@ -137,6 +142,14 @@ class Moment:
         finally:
             engine.evaluation.restore(now._kept)
 
+    def packed(self) -> "Packed":
+        """Return what there is to it without the engine."""
+        rows = self._rows and self._rows.packed(self.engine.rows)
+        return Packed(
+            *(self.engine.problem, self.q, self.v_previous, self.a_previous, self.dt),
+            *(self._kept, rows, self.share),
+        )
+
     def named_row(self, row: int) -> tuple[str, str, float, float]:
         """Return the kind of limit that a row belongs to, what it is of, its lo and its hi."""
         assert self._rows is not None
@@ -176,6 +189,50 @@ class Made(NamedTuple):
     moment: Moment
 
 
+class Packed(NamedTuple):
+    """A moment without its engine."""
+
+    problem: Problem
+    q: Array
+    v_previous: Array
+    a_previous: Array
+    dt: float
+    kept: Kept
+    rows: PackedRows | None
+    share: float
+
+    def unpacked(self) -> Moment:
+        """Return the moment with an engine for the problem, the same one for all of its steps."""
+        from rmrc.control.engines import build_engine  # which needs this module
+
+        engine = _ENGINES.get(self.problem)
+        if engine is None:
+            engine = _ENGINES[self.problem] = build_engine(self.problem, "python")[0]
+        rows = self.rows and self.rows.unpacked(engine.rows)
+        return Moment(
+            *(engine, self.q, self.v_previous, self.a_previous, self.dt),
+            *(self.kept, rows, self.share),
+        )
+
+
+_ENGINES: WeakKeyDictionary[Problem, Any] = WeakKeyDictionary()
+
+
+class Unpickled:
+    """A step that was pickled: an engine is made where something asks for its moment."""
+
+    def __init__(self, v: Array, q: Array, solution: Solution, packed: Packed):
+        self.v, self.q, self.solution, self._packed = v, q, solution, packed
+
+    @cached_property
+    def moment(self) -> Moment:
+        """See `Step.moment`."""
+        return self._packed.unpacked()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "moment"}
+
+
 class Step:
     """One control step: the command, and what there is to know about it."""
 
@@ -189,6 +246,16 @@ class Step:
     def __copy__(self) -> "Step":
         """Return the step itself, which nobody changes."""
         return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Step":
+        """Return a step with arrays of its own; what it was computed from is the same."""
+        made = Made(self.v.copy(), self.q.copy(), deepcopy(self.solution, memo), self.moment)
+        return Step(made, self.flag_bits)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes the same step anywhere: its numbers, and the problem."""
+        source = Unpickled(self.v, self.q, self.solution, self.moment.packed())
+        return Step, (source, self.flag_bits)
 
     @property
     def v(self) -> Array:
@@ -228,15 +295,16 @@ class Step:
         limited = self.flag_bits >> Status.LIMITED & 1 and self.moment.engine.problem.config.method
         stuck = self.flag_bits >> Status.STUCK & 1
         if not (stuck or limited not in (0, "qp")):
-            return invalid
+            return tuple(map(printable, invalid))
         account = self.explain()
         found = account.reasons if stuck else ()
         several = len({reason.task for reason in found}) > 1
-        return (
+        said = (
             *invalid,
             *(f"passes the {p.limit} limit of {p}" for p in account.broken),
             *(f"{r.task}: {r.what}" if several else r.what for r in found),
         )
+        return tuple(map(printable, said))
 
     @property
     def error(self) -> Errors:

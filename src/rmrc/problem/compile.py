@@ -26,7 +26,7 @@ from rmrc.problem.limits.rows import compile_barriers, compile_speeds
 from rmrc.problem.objects import Objects, bodies_of_joints, claimed_by_mink, find_objects
 from rmrc.problem.problem import Problem
 from rmrc.problem.scene import load_model, place_mocap_bodies, start_keyframe
-from rmrc.problem.tasks.base import FieldError, Term, weight_array
+from rmrc.problem.tasks.base import BendingTerm, FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
 from rmrc.problem.tasks.loop import LoopTerm, equality_name
@@ -95,6 +95,7 @@ class _Compiler:
                 box.velocity[term.dofs] = 0.0
         terms = tuple(term.within(box.lower, box.upper) for term in terms)
         moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
+        self._refuse_unmoved(model, terms, set(moving.tolist()))
         barriers = compile_barriers(objects, config.limits, start, moving, mistakes, notices)
         if barriers:
             box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
@@ -142,6 +143,26 @@ class _Compiler:
             mink_tasks=mink_tasks,
             mink_limits=mink_limits,
         )
+
+    def _refuse_unmoved(
+        self, model: mujoco.MjModel, terms: tuple[Term, ...], moving: set[int]
+    ) -> None:
+        """Note the tasks whose frame no joint moves: they could never do anything."""
+        index = {task.name: k for k, task in enumerate(self._config.tasks)}
+        for term in terms:
+            if not isinstance(term, BendingTerm) or moving.intersection(term.way(model).dofs):
+                continue
+            key = (
+                "frame"
+                if "frame" in type(self._config.tasks[index[term.name]]).model_fields
+                else None
+            )
+            place = ("tasks", index[term.name], *([key] if key else []))
+            among = "" if self._config.dofs is None else " of `dofs`"
+            message = (
+                f"no joint{among} moves this: name a frame that hangs on a joint that may move"
+            )
+            self._mistakes.append(Mistake(place, message))
 
     def _model_at_start(self) -> tuple[mujoco.MjModel, Array]:
         """Return the model and the start configuration, without which nothing else is tried."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import mink
 import mujoco
@@ -72,6 +73,16 @@ class Problem:
     """Age of the measured configuration beyond which it is stale, s."""
     mink_tasks: tuple[BaseTask, ...] = ()
     mink_limits: tuple[mink.Limit, ...] = ()
+
+    def __post_init__(self):
+        # Engines have taken what they need of these: a change of them would be lost without a word.
+        for array in (self.start, self.dofs, self.metric, *vars(self.box).values()):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()  # pickled arrays come back writable
 
     @cached_property
     def term(self) -> Mapping[str, Term]:

@@ -256,6 +256,11 @@ class KeptRows:
     lower: Array
     upper: Array
 
+    def packed(self, rows: Rows) -> "PackedRows":
+        """Return the same with the places of the barriers in all rows instead of them."""
+        blocks = [(rows.barriers.index(b), ids, place) for b, ids, place in self.blocks]
+        return PackedRows(blocks, self.lower, self.upper)
+
     def described(self, row: int) -> tuple[str, str, float, float]:
         """Return the kind of limit that a row belongs to, what it is of, its lo and its hi.
 
@@ -272,3 +277,17 @@ class KeptRows:
             if rows.start <= row < rows.stop:
                 return barrier.kind, barrier.name(int(ids[row - rows.start])), *bounds
         return "mink", f"row {row - first}", *bounds
+
+
+@dataclass(frozen=True, eq=False)
+class PackedRows:
+    """Kept rows apart from an engine, to be pickled."""
+
+    blocks: list[tuple[int, NDArray[np.intp], slice]]
+    lower: Array
+    upper: Array
+
+    def unpacked(self, rows: Rows) -> KeptRows:
+        """Return them as those of an engine of the same problem."""
+        blocks = [(rows.barriers[k], ids, place) for k, ids, place in self.blocks]
+        return KeptRows(rows.speeds, blocks, self.lower, self.upper)

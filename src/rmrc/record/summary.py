@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,7 @@ def _limits(
     acceleration = np.diff(v, axis=0, prepend=rest) / dt
     jerk = np.diff(acceleration, axis=0, prepend=rest) / dt
     return {
-        "position": _violation(positions(model, q)),
+        "position": _position(positions(model, q)),
         "velocity": _violation(rates(model, v, "velocity")),
         "acceleration": _violation(rates(model, acceleration, "acceleration")),
         "jerk": _violation(rates(model, jerk, "jerk"), ROUNDING / dt),
@@ -119,6 +120,25 @@ def _limits(
             for kind in ("collision", "workspace", "speed")
         },
     }
+
+
+def _position(channels: Sequence[Channel]) -> dict[str, Any]:
+    """Return the largest excess over the ranges, and how far a joint was outside at the start.
+
+    Where it starts is not rmrc's doing: until it has come back it may be as far outside as then,
+    but at the end it counts.
+    """
+    started = _violation([replace(c, values=c.values[:1]) for c in channels])
+    after = _violation([replace(c, values=c.values[_counting(c.excess)]) for c in channels])
+    return after | {"started_outside": started if started["max_violation"] else None}
+
+
+def _counting(excess: Array) -> NDArray[np.bool_]:
+    """Return the rows (N,) whose excess (N,) is a violation, where there is any."""
+    back = np.cumsum(excess <= ROUNDING) > 0
+    counting = back | (excess > excess[:1] + ROUNDING)
+    counting[-1:] = True
+    return counting
 
 
 def _violation(channels: Sequence[Channel], rounding: float = ROUNDING) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.base import JointName, KeyframeName, Number, Vector
+from rmrc.config.base import JointName, KeyframeName, Number, Vector, Weight
 from rmrc.problem.configuration import free_dofs, resolve_configuration, turning_dofs
 from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import (
@@ -37,6 +37,9 @@ class PostureTask(HardTask, GainedTask, WeightedTask):
     target_kind: ClassVar[TargetKind] = "configuration"
 
     type: Literal["posture"] = "posture"
+    B: Weight = 0.01
+    """Weight of the squared error, Whitney's B: a number, a diagonal or a symmetric matrix. One
+    level down it is small enough to leave a `frame` of the default weight at its target."""
     target: KeyframeName | Vector | dict[JointName, Number] | None = None
     """A keyframe, all of qpos, or {joint: value} on the start; by default the start itself."""
     wrap: bool = False
