@@ -182,6 +182,7 @@ class Engine {
   bool trusted(Ending ending) const;
   void renew_solver();
   void brake(double* v);
+  void plan();
 
   Ending descend_ladder(Ending ending, bool warm);
   bool feasible(Ending ending) const;
@@ -239,7 +240,7 @@ class Engine {
   std::vector<double> curvature_;  // X of one program (n,)
   std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
-  std::vector<double> speed_, steps_, change_;   // of a brake (n,)
+  std::vector<double> planned_;  // what braking leaves of the velocity (n,)
 };
 
 }  // namespace rmrc

@@ -67,15 +67,9 @@ void Engine::keep_distances(double dt) {
 // Whether the brake goes on otherwise than the joints would stop by themselves, as where they come
 // back into their ranges: its way to rest is then not what the step before has looked at.
 bool Engine::is_forced() const {
-  const JointLimits& limits = box_.limits();
-  std::vector<int>::const_iterator ball = limits.balls.begin();
   for (int i = 0; i < size(); ++i) {
-    while (ball != limits.balls.end() && *ball + 3 <= i) ++ball;
-    const bool turns = ball != limits.balls.end() && *ball <= i;
-    const double a = limits.acceleration[i];
-    if (turns || !std::isfinite(a)) continue;  // a ball brakes about its axis
-    const double left = std::max(std::abs(v_previous_[i]) - a * dt_, 0.0);
-    if (std::abs(brake_[i]) > left + forced) return true;
+    if (!std::isfinite(box_.limits().acceleration[i])) continue;
+    if (std::abs(brake_[i]) > std::abs(planned_[i]) + forced) return true;
   }
   return false;
 }

@@ -11,8 +11,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.qp.rows: STOPPING, ROUNDING and FASTEST.
-constexpr double counted_on = 0.5;
+// rmrc.qp.rows: ROUNDING and FASTEST.
 constexpr double rounding = 1e-9;
 constexpr double fastest = 1e6;
 
@@ -21,21 +20,22 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 }  // namespace
 
 Rows::Rows(const MuJoCo& mujoco, const Kinematics& now, std::vector<int> dofs,
-           std::vector<int> place, std::vector<double> inverse_acceleration,
+           std::vector<int> place, const JointLimits& limits, const double* v_previous,
            const RowArrays& arrays, int capacity)
     : mujoco_(mujoco),
       now_(now),
       dofs_(std::move(dofs)),
       place_(std::move(place)),
-      inverse_acceleration_(std::move(inverse_acceleration)),
+      limits_(&limits),
+      v_previous_(v_previous),
       arrays_(arrays),
       capacity_(capacity),
-      stops_(std::any_of(inverse_acceleration_.begin(), inverse_acceleration_.end(),
-                         [](double value) { return value != 0.0; })),
       turning_(mujoco.nv, true),
       travel_(mujoco.nv),
       low_(dofs_.size()),
       high_(dofs_.size()),
+      before_(dofs_.size()),
+      brake_(dofs_.size()),
       keys_(capacity) {}
 
 void Rows::know(double resolution, std::vector<bool> turning, Slides slides) {
@@ -83,14 +83,26 @@ void Rows::keep(Memory& memory) {
 // Bound how fast the joints can be, and how far they can go until they rest.
 void Rows::limit(const double* lb, const double* ub, double dt) {
   std::fill(travel_.begin(), travel_.end(), 0.0);
+  double most = 0.0;
+  longest_ = 0.0;
+  slowest_ = 0;
   for (std::size_t k = 0; k < dofs_.size(); ++k) {
     // Without a limit 0 · ∞ would be no number, and no joint goes further than around.
     low_[k] = std::max(lb[k], -fastest);
     high_[k] = std::min(ub[k], fastest);
-    const double speed = std::max(std::abs(low_[k]), std::abs(high_[k]));
-    double travel = speed * dt;
-    if (stops_) travel += 0.5 * speed * speed * inverse_acceleration_[k];
-    travel_[dofs_[k]] = travel;
+    before_[k] = v_previous_[dofs_[k]];
+    const double change = limits_->acceleration[k] * dt, steps = std::abs(before_[k]) / change;
+    most = std::max(most, std::max(std::abs(low_[k]), std::abs(high_[k])) / change);
+    if (!(steps > longest_)) continue;
+    longest_ = steps;
+    slowest_ = static_cast<int>(k);
+  }
+  braked(*limits_, before_.data(), dt, now_.qpos, brake_.data());
+  for (std::size_t k = 0; k < dofs_.size(); ++k) {
+    const double speed = std::max(std::abs(low_[k]), std::abs(high_[k])) * dt;
+    const bool slows = std::isfinite(limits_->acceleration[k]);
+    travel_[dofs_[k]] = slows ? speed * (1.0 + 0.5 * most) : speed;
+    brake_[k] = std::min(std::max(brake_[k], low_[k]), high_[k]);
   }
 }
 
@@ -108,45 +120,36 @@ void Rows::add_block(std::int64_t which, double dt) {
     const double* slope = arrays_.slope + static_cast<long>(row) * nv;
     double* columns = arrays_.matrix + static_cast<long>(row) * n;
     for (int k = 0; k < n; ++k) columns[k] = slope[dofs_[k]];
-    arrays_.lower[row] = lower(*block.barrier, row, dt);
+    arrays_.lower[row] = bounded(row, stoppable(*block.barrier, row, dt));
     arrays_.upper[row] = infinity;
     passed_ |= arrays_.distance[row] < -resolution_;
   }
 }
 
-// Return what slope·v must at least be.
-double Rows::lower(const Barrier& barrier, int row, double dt) const {
+// Return what a row must at least be, and have it know how long the joints take to rest.
+double Rows::stoppable(const Barrier& barrier, int row, double dt) const {
+  const double distance = arrays_.distance[row], drift = arrays_.drift[row];
+  const double rate = barrier.gain() / dt * distance;
+  if (!(longest_ > 0.0 && distance >= 0.0)) return std::min(-rate, barrier.push()) - drift;
   const int n = static_cast<int>(dofs_.size());
-  const double* slope = arrays_.matrix + static_cast<long>(row) * n;
-  const double distance = arrays_.distance[row];
-  double rate = barrier.gain() / dt * distance;
-  if (stops_) rate = std::min(rate, stopping(distance, slope, dt));
-  double lower = std::min(-rate, barrier.push()) - arrays_.drift[row];
-  double braked = 0.0, most = 0.0;
-  for (int k = 0; k < n; ++k) {
-    braked += slope[k] * std::min(std::max(0.0, low_[k]), high_[k]);
-    most += std::max(slope[k] * low_[k], slope[k] * high_[k]);
-  }
-  // No row that only holds an approach back asks for more than the brake can do.
-  if (lower <= 0.0) lower = std::min(lower, braked - rounding * std::abs(braked));
-  return std::min(lower, most - rounding * std::abs(most));
+  double* columns = arrays_.matrix + static_cast<long>(row) * n;
+  const double part = std::max(-dot(columns, before_.data(), n), 0.0) / (longest_ + 2.0);
+  columns[slowest_] -= part * longest_ / before_[slowest_];
+  return -rate / (0.5 * longest_ + 1.0) - part * longest_ - drift;
 }
 
-// Return the speed from which a distance can still be stopped at 0. With joint rates in proportion
-// to the slope c, all joints at their a_max take s² Σ |c|³/a / (2 (c·c)²) from a speed s.
-double Rows::stopping(double distance, const double* slope, double dt) const {
-  double square = 0.0, weight = 0.0;
-  for (std::size_t k = 0; k < dofs_.size(); ++k) {
-    const double steep = std::abs(slope[k]);
-    square += steep * steep;
-    weight += steep * steep * steep * inverse_acceleration_[k];
+// Return what a row must at least be once it is lowered to what the box allows. No row that only
+// holds an approach back asks for more than the brake can do.
+double Rows::bounded(int row, double lower) const {
+  const int n = static_cast<int>(dofs_.size());
+  const double* columns = arrays_.matrix + static_cast<long>(row) * n;
+  double least = 0.0, most = 0.0;
+  for (int k = 0; k < n; ++k) {
+    least += columns[k] * brake_[k];
+    most += std::max(columns[k] * low_[k], columns[k] * high_[k]);
   }
-  if (!(weight > 0.0) || distance < 0.0) return infinity;
-  const double a = counted_on * (square * square / weight);
-  if (!std::isfinite(a)) return infinity;
-  const double room = 2.0 * a * distance, change = a * dt;
-  const double root = std::sqrt(change * change + room) + change;
-  return root > 0.0 ? room / root : 0.0;
+  if (lower <= 0.0) lower = std::min(lower, least - rounding * std::abs(least));
+  return std::min(lower, most - rounding * std::abs(most));
 }
 
 }  // namespace rmrc

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "barrier.hpp"
+#include "box.hpp"
 #include "mujoco.hpp"
 #include "slides.hpp"
 #include "speed.hpp"
@@ -28,9 +29,10 @@ struct Block {
 /// Gathers the rows of a step: rmrc.qp.rows.Rows, but for the limits of mink's.
 class Rows {
  public:
-  /// `inverse_acceleration` (n,) is 1/a_max, 0 without a limit.
+  /// `limits` are those of the joints, and `v_previous` (nv,) the velocity before: both must live as
+  /// long.
   Rows(const MuJoCo& mujoco, const Kinematics& now, std::vector<int> dofs, std::vector<int> place,
-       std::vector<double> inverse_acceleration, const RowArrays& arrays, int capacity);
+       const JointLimits& limits, const double* v_previous, const RowArrays& arrays, int capacity);
 
   /// Take a distance to be on its limit where it is below by no more than `resolution`; `turning`
   /// says which dofs turn, not shift (nv,), and `slides` what levers leave out.
@@ -54,6 +56,7 @@ class Rows {
   const Kinematics& now() const { return now_; }
   const MuJoCo& mujoco() const { return mujoco_; }
   const std::vector<int>& dofs() const { return dofs_; }
+  const JointLimits& limits() const { return *limits_; }
 
   /// All barriers, those without a row included.
   const std::vector<Block>& blocks() const { return blocks_; }
@@ -70,17 +73,17 @@ class Rows {
 
  private:
   void limit(const double* lb, const double* ub, double dt);
-  double lower(const Barrier& barrier, int row, double dt) const;
-  double stopping(double distance, const double* slope, double dt) const;
+  double stoppable(const Barrier& barrier, int row, double dt) const;
+  double bounded(int row, double lower) const;
   void add_block(std::int64_t which, double dt);
 
   MuJoCo mujoco_;
   Kinematics now_;
   std::vector<int> dofs_, place_;
-  std::vector<double> inverse_acceleration_;
+  const JointLimits* limits_;
+  const double* v_previous_;
   RowArrays arrays_;
   int capacity_, speed_count_ = 0, room_ = 0;
-  bool stops_;
   double resolution_ = 1e-6;  // rmrc.problem.limits.extents.FINEST
   std::vector<bool> turning_;
   Slides slides_;
@@ -90,6 +93,9 @@ class Rows {
   int count_ = 0;
   bool passed_ = false;
   std::vector<double> travel_, low_, high_;  // (nv,), (n,)
+  std::vector<double> before_, brake_;       // v of the dofs (n,), and what braking leaves of it
+  int slowest_ = 0;                          // the dof that takes longest to rest
+  double longest_ = 0.0;                     // and how many steps
   std::vector<std::int64_t> keys_;
 };
 

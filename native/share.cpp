@@ -35,7 +35,7 @@ Share Shortening::share(const double* v, const double* brake, double dt,
     blend(v, brake, high, dt);
     if (worst(0.0)) return {high, false};
   }
-  path_.set_out(brake, dt);
+  path_.set_out(brake, dt, rows_.now().qpos);
   // What the step before has left may be used up by rounding.
   if (!is_over(end_)) {
     const bool kept = worst(-tolerance_);
@@ -74,7 +74,7 @@ double Shortening::guess(const double* v, const double* brake, double high, doub
 // Set out with a share of v from the brake on.
 void Shortening::blend(const double* v, const double* brake, double share, double dt) {
   for (int i = 0; i < n_; ++i) command_[i] = brake[i] + share * (v[i] - brake[i]);
-  path_.set_out(command_.data(), dt);
+  path_.set_out(command_.data(), dt, rows_.now().qpos);
 }
 
 const Kinematics& Shortening::end(const double* v, double dt) {

@@ -21,10 +21,8 @@ struct Share {
 /// Keeps distances at the configuration that a command leads to: rmrc.control.shorten.Shortening.
 class Shortening {
  public:
-  /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit,
-  /// and `balls` are the first entries of ball joints.
-  Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
-             std::vector<int> balls, const double* twist, int mocaps);
+  /// `own` are the kinematics of data of its own.
+  Shortening(const Rows& rows, const Kinematics& own, const double* twist, int mocaps);
 
   /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
   void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }

@@ -247,7 +247,7 @@ struct LimitedFixture : Fixture {
     seen_position[0] = std::nan("");
     const std::vector<int> dofs{0, 1, 2, 3, 4};
     rows = std::make_unique<rmrc::Rows>(
-        engine->mujoco(), arrays_of(arm), dofs, dofs, std::vector<double>(joints, 1.0 / strongest),
+        engine->mujoco(), arrays_of(arm), dofs, dofs, engine->joint_limits(), v_previous,
         rmrc::RowArrays{matrix, lower, upper, multiplier, ids, distance, slope, drift}, capacity);
     rows->add(rmrc::SpeedRows({arm.position, arm.rotation, arm.com, dofs}, false, quickest, infinity,
                               rate + 6, arm.cdof));
@@ -255,9 +255,7 @@ struct LimitedFixture : Fixture {
                                      std::vector<double>(levers, levers + joints)}};
     rows->add(std::make_unique<rmrc::Workspace>(std::move(planes), 0.85, 0.1, nullptr, joints));
     rows->add(std::make_unique<rmrc::Collision>(pairs(), engine->mujoco()));
-    shortening = std::make_unique<rmrc::Shortening>(*rows, arrays_of(own),
-                                                    std::vector<double>(joints, strongest),
-                                                    std::vector<int>{}, nullptr, 0);
+    shortening = std::make_unique<rmrc::Shortening>(*rows, arrays_of(own), nullptr, 0);
     engine->limit(*rows, shortening.get());
   }
 

@@ -99,7 +99,6 @@ class Engine:
             list[float],
             list[float],
             list[float],
-            list[int],
         ],
         H: Array,
         g: Array,
@@ -198,7 +197,6 @@ class Rows:
         *,
         engine: Engine,
         now: Kinematics,
-        inverse_acceleration: list[float],
         matrix: Array,
         lower: Array,
         upper: Array,
@@ -262,8 +260,6 @@ class Shortening:
         *,
         rows: Rows,
         own: Kinematics,
-        deceleration: list[float],
-        balls: list[int],
         twist: Array,
     ) -> None: ...
     def follow(self, kinematics: ForwardKinematics) -> None: ...

@@ -58,7 +58,6 @@ class NativeRows(Rows):
         self.native = _native.Rows(
             engine=engine,
             now=kinematics(evaluation.data, cdof),
-            inverse_acceleration=self._inverse_acceleration.tolist(),
             matrix=self._matrix,
             lower=self._limits[0],
             upper=self._limits[1],
@@ -174,8 +173,6 @@ class NativeShortening(Shortening):
         self.native = _native.Shortening(
             rows=rows.native,
             own=kinematics(self._data, cdof),
-            deceleration=self._box.acceleration.tolist(),
-            balls=self._box.balls.tolist(),
             twist=self._twist,
         )
         watched = native_kinematics.of_barriers(rows.barriers)

@@ -40,15 +40,15 @@ LEAST_PART, CLOSE = 0.1, 0.01
 
 
 class _Path:
-    """The way of a step with v, and of those after it, the ith of which has |v| − i a dt left.
+    """The way of a step with v, and of those after it, in which the joints brake (see `braking`).
 
     Its places are counted in steps: 0 is the present configuration, 1 where v leads, and at `last`
     all joints rest.
     """
 
-    def __init__(self, v: Array, box: Box, dt: float):
+    def __init__(self, v: Array, box: Box, dt: float, q: Array | None = None):
         self._sign, self._speed, self.dt = np.sign(v), np.abs(v), dt
-        steps, change = braking(box, self._speed, dt)
+        steps, change = braking(box, v, dt, q)
         self._count = np.floor(steps)
         self._change = np.where(change < math.inf, change, 0.0)  # no ∞ · 0
         self._half = 0.5 * self._change
@@ -189,11 +189,12 @@ class Shortening:
             blocks: The barriers that are near.
             dt: Length of the step, s.
         """
-        whole, rest = (_Path(command, self._box, dt) for command in (v, brake))
+        self._start[:] = data.qpos
+        whole, rest = (_Path(command, self._box, dt, self._start) for command in (v, brake))
         watched = self._watched(data, whole, blocks)
         if not watched:
             return 1.0, False
-        self._start[:], self._still = data.qpos, not self._twist.any()
+        self._still = not self._twist.any()
         self._steady = self._still and self._slows
         carry_on(self._data, data, self._twist, dt)
         look = self._worst(whole, watched)
@@ -209,7 +210,8 @@ class Shortening:
             high = self._guess(look, (v, brake), high, dt) * (1.0 - LEAST_PART * trial)
             if high == 0.0:
                 break
-            look = self._worst(_Path(brake + high * (v - brake), self._box, dt), watched)
+            command = brake + high * (v - brake)
+            look = self._worst(_Path(command, self._box, dt, self._start), watched)
             if look.least >= 0.0:
                 return high, False
         if not self._is_over():
@@ -269,7 +271,7 @@ class Shortening:
         (v, brake), each, entry = ends, look.worst[0], np.array([look.worst[1]])
         low, room_low, room_high, share = 0.0, math.inf, look.least, 0.0
         for _ in range(GUESSES):
-            path = _Path(brake + share * (v - brake), self._box, dt)
+            path = _Path(brake + share * (v - brake), self._box, dt, self._start)
             self._place(path.way(look.place))
             room = float(each.measured(self._data, entry)[0])
             if room < 0.0:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.barrier import Barrier, Near
+from rmrc.problem.limits.box import braked
 from rmrc.problem.limits.slides import Slides
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
@@ -17,9 +18,6 @@ from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
 
-STOPPING = 0.5
-"""Share of the deceleration along a barrier's slope that is counted on: the joints do not brake in
-the proportions of the slope."""
 ROUNDING = 1e-9
 """Share by which a row stays below the fastest that the box allows."""
 FASTEST = 1e6
@@ -38,11 +36,18 @@ class Block:
 class Rows:
     """Gathers the rows of a step; their number may change from step to step.
 
-    A barrier's row is slope·v ≥ −rate(h) − drift with rate(h) = gain h/dt and, with acceleration
-    limits, no more than the speed −a dt + √(a²dt² + 2ah) from which the distance can still be
-    stopped at 0. Where h < 0 it asks for a way back at no more than `push`. What the box alone
-    makes impossible is not asked for: the check of the command where it leads says what comes of
-    that.
+    A barrier's row is c·v ≥ −gain h/dt − drift with the slope c. With acceleration limits the robot
+    brakes along the line that it moves on, in N = max |v_i|/(a_i dt) steps (see `braking`), and the
+    distance falls by s (N + 1)/2 dt from a speed s = −c·v on: it must be left. To first order about
+    the velocity before, with half a step to spare, since N changes by up to 1,
+
+        (N + 2)/2 c·v − s/2 sign(v_i) v_i/(a_i dt) ≥ −gain h/dt − s N/2
+
+    with the joint i that takes longest; divided by (N + 2)/2. So the approach slows down as on
+    √(2 α h), with the deceleration α that the joints have in the direction of the motion, and what
+    moves along something is not held up. Where h < 0 the row asks for a way back at no more than
+    `push`. What the box alone makes impossible is not asked for: the check of the command where it
+    leads says what comes of that.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation):
@@ -71,8 +76,6 @@ class Rows:
         """The barriers that have rows now."""
         self.passed = False
         """Whether a distance is below its limit."""
-        self._inverse_acceleration = 1.0 / problem.box.acceleration  # 0 where there is no limit
-        self._stops = bool(self._inverse_acceleration.any())
         self._travel = np.zeros(model.nv)
         self._slides = Slides(model, evaluation.obstacle_twist)
 
@@ -94,8 +97,9 @@ class Rows:
         low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
         fastest = np.maximum(np.abs(low), np.abs(high))
         travel = fastest * dt
-        if self._stops:
-            travel += 0.5 * fastest * fastest * self._inverse_acceleration
+        acceleration = problem.box.acceleration
+        slows, longest = np.isfinite(acceleration), (fastest / (acceleration * dt)).max()
+        travel[slows] *= 1.0 + 0.5 * longest
         self._travel.fill(0.0)
         self._travel[dofs] = travel
         self._slides.begin(self._evaluation.data.qpos, self._travel)
@@ -104,9 +108,9 @@ class Rows:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:
                 self.blocks.append(Block(barrier, near, slice(self.count, 0)))
-                slope = near.slope[:, dofs]
-                lower = self._lower(barrier, near, slope, (low, high), dt)
-                self._add(parts, slope, lower, np.full(lower.size, np.inf))
+                rows, lower = self._stoppable(barrier, near, dt)
+                self._bound(rows, lower, (low, high), dt)
+                self._add(parts, rows, lower, np.full(lower.size, np.inf))
                 self.blocks[-1].rows = slice(self.count - lower.size, self.count)
         for rows, upper in self._mink_rows(dt):
             self._add(parts, rows, np.full(upper.size, -np.inf), upper)
@@ -121,47 +125,37 @@ class Rows:
         parts.append((rows, lower, upper))
         self.count += upper.size
 
-    def _lower(
-        self,
-        barrier: Barrier,
-        near: Near,
-        slope: Array,
-        box: tuple[Array, Array],
-        dt: float,
-    ) -> Array:
-        """Return what slope·v must at least be (k,)."""
-        distance = near.distance
-        rate = barrier.gain / dt * distance
-        if self._stops:
-            rate = np.minimum(rate, self._stopping(distance, slope, dt))
+    def _stoppable(self, barrier: Barrier, near: Near, dt: float) -> tuple[Array, Array]:
+        """Return the rows (k, n), and what they must at least be (k,)."""
+        problem, distance = self._problem, near.distance
+        self.passed |= bool(distance.min() < -problem.resolution)
+        rows, rate = near.slope[:, problem.dofs], barrier.gain / dt * distance
         lower = np.minimum(-rate, barrier.push) - near.drift
-        # No row that only holds an approach back asks for more than the brake can do.
-        braked = slope @ np.clip(0.0, *box)
-        np.minimum(lower, braked - ROUNDING * np.abs(braked), out=lower, where=lower <= 0.0)
-        fastest = np.maximum(slope * box[0], slope * box[1]).sum(axis=1)
-        fastest -= ROUNDING * np.abs(fastest)
-        beyond = lower > fastest
-        lower[beyond] = fastest[beyond]
-        self.passed |= bool(distance.min() < -self._problem.resolution)
-        return lower
+        before = self._evaluation.v_previous[problem.dofs]
+        steps = np.abs(before) / (problem.box.acceleration * dt)
+        slowest = int(steps.argmax())
+        longest = steps[slowest]
+        if longest > 0.0:
+            ahead = distance >= 0.0
+            part = np.maximum(-(rows @ before), 0.0)[ahead] / (longest + 2.0)
+            rows[ahead, slowest] -= part * steps[slowest] / before[slowest]
+            lower[ahead] = -rate[ahead] / (0.5 * longest + 1.0) - part * longest - near.drift[ahead]
+        return rows, lower
 
-    def _stopping(self, distance: Array, slope: Array, dt: float) -> Array:
-        """Return the speeds (k,) from which each distance can still be stopped at 0.
+    def _bound(self, rows: Array, lower: Array, box: tuple[Array, Array], dt: float) -> None:
+        """Lower what rows must be (k,), in place, to what the box allows.
 
-        With joint rates in proportion to the slope c, all joints at their a_max take
-        s² Σ |c|³/a / (2 (c·c)²) from a speed s, so that a = (c·c)² / Σ |c|³/a.
+        No row that only holds an approach back asks for more than the brake can do.
         """
-        steep = np.abs(slope)
-        square = (steep * steep).sum(axis=1)
-        weight = (steep**3) @ self._inverse_acceleration
-        a = STOPPING * np.divide(
-            square * square, weight, out=np.full(square.size, math.inf), where=weight > 0.0
-        )
-        finite = np.where(np.isfinite(a), a, 0.0)
-        room = 2.0 * finite * np.maximum(distance, 0.0)
-        root = np.sqrt((finite * dt) ** 2 + room) + finite * dt
-        speed = np.divide(room, root, out=np.zeros_like(root), where=root > 0.0)
-        return np.where(np.isfinite(a) & (distance >= 0.0), speed, np.inf)
+        problem, evaluation = self._problem, self._evaluation
+        low, high = box
+        before = evaluation.v_previous[problem.dofs]
+        brake = braked(problem.box, before, dt, evaluation.data.qpos)
+        least = rows @ np.clip(brake, low, high)
+        np.minimum(lower, least - ROUNDING * np.abs(least), out=lower, where=lower <= 0.0)
+        fastest = np.maximum(rows * low, rows * high).sum(axis=1)
+        fastest -= ROUNDING * np.abs(fastest)
+        np.minimum(lower, fastest, out=lower)
 
     def _mink_rows(self, dt: float) -> list[tuple[Array, Array]]:
         """Return the rows C v ≤ hi of mink's limits, which say G Δq ≤ h."""

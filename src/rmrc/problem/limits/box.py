@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 # A joint this little outside its range is on it: rounding, not a violation. rad or m.
 RANGE_ROUNDING = 1e-9
+# Steps to rest, in place of none.
+TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,24 +35,31 @@ class Box:
     """j_max, rad/s³ or m/s³."""
     step: Array
     """Most that a joint moves in a step, rad or m, whatever its other limits are."""
-    balls: NDArray[np.intp]
-    """The first of the three entries of each ball joint."""
 
 
-def braking(box: Box, speed: Array, dt: float) -> tuple[Array, Array]:
-    """Return the steps of dt that |v| (n,) takes to rest, and by how much it falls in each.
+def braking(box: Box, v: Array, dt: float, q: Array | None = None) -> tuple[Array, Array]:
+    """Return the steps of dt that v (n,) takes to rest, and by how much |v| falls in each.
 
-    Each joint brakes at its a_max; a ball joint in proportion to its rates, no faster than the one
-    of them that takes longest, so that it goes on about the axis that it turns about.
+    All joints brake in the proportions of v, so that the robot stays on the line that it moves on
+    and nears nothing that it moves along; the joint that takes longest brakes at its a_max. A joint
+    whose range at q (nq,) ends before brakes as hard as it must, by v²/(2 r − v dt) with the way r
+    that is left, which is the same at every later step.
     """
-    change = box.acceleration * dt
-    steps = speed / change
-    for first in box.balls.tolist():
-        three = slice(first, first + 3)
-        longest = steps[three].max()
-        if longest > 0.0:
-            steps[three], change[three] = longest, speed[three] / longest
-    return steps, change
+    speed, most = np.abs(v), box.acceleration * dt
+    limited = np.isfinite(most)
+    change = np.where(limited, speed / max((speed / most).max(initial=0.0), TINY), most)
+    if q is not None:
+        way = np.where(v > 0.0, box.upper - q[box.coordinate], q[box.coordinate] - box.lower)
+        way = 2.0 * way - speed * dt
+        needed = np.divide(speed * speed * dt, way, out=most.copy(), where=way > 0.0)
+        change = np.maximum(change, np.minimum(needed, most))
+    return np.divide(speed, change, out=np.zeros_like(speed), where=speed > 0.0), change
+
+
+def braked(box: Box, v: Array, dt: float, q: Array) -> Array:
+    """Return what is left of v (n,) after a step of braking, rad/s or m/s."""
+    _, change = braking(box, v, dt, q)
+    return v - np.clip(v, -change, change)
 
 
 class BoxLimit:
