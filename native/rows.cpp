@@ -85,7 +85,6 @@ void Rows::limit(const double* lb, const double* ub, double dt) {
   std::fill(travel_.begin(), travel_.end(), 0.0);
   double most = 0.0;
   longest_ = 0.0;
-  slowest_ = 0;
   for (std::size_t k = 0; k < dofs_.size(); ++k) {
     // Without a limit 0 · ∞ would be no number, and no joint goes further than around.
     low_[k] = std::max(lb[k], -fastest);
@@ -93,9 +92,7 @@ void Rows::limit(const double* lb, const double* ub, double dt) {
     before_[k] = v_previous_[dofs_[k]];
     const double change = limits_->acceleration[k] * dt, steps = std::abs(before_[k]) / change;
     most = std::max(most, std::max(std::abs(low_[k]), std::abs(high_[k])) / change);
-    if (!(steps > longest_)) continue;
-    longest_ = steps;
-    slowest_ = static_cast<int>(k);
+    longest_ = std::max(longest_, steps);
   }
   braked(*limits_, before_.data(), dt, now_.qpos, brake_.data());
   for (std::size_t k = 0; k < dofs_.size(); ++k) {
@@ -120,22 +117,29 @@ void Rows::add_block(std::int64_t which, double dt) {
     const double* slope = arrays_.slope + static_cast<long>(row) * nv;
     double* columns = arrays_.matrix + static_cast<long>(row) * n;
     for (int k = 0; k < n; ++k) columns[k] = slope[dofs_[k]];
-    arrays_.lower[row] = bounded(row, stoppable(*block.barrier, row, dt));
+    arrays_.lower[row] = bounded(row, lower(*block.barrier, row, dt));
     arrays_.upper[row] = infinity;
     passed_ |= arrays_.distance[row] < -resolution_;
   }
 }
 
-// Return what a row must at least be, and have it know how long the joints take to rest.
-double Rows::stoppable(const Barrier& barrier, int row, double dt) const {
-  const double distance = arrays_.distance[row], drift = arrays_.drift[row];
-  const double rate = barrier.gain() / dt * distance;
-  if (!(longest_ > 0.0 && distance >= 0.0)) return std::min(-rate, barrier.push()) - drift;
+// Return what slope·v must at least be.
+double Rows::lower(const Barrier& barrier, int row, double dt) const {
   const int n = static_cast<int>(dofs_.size());
-  double* columns = arrays_.matrix + static_cast<long>(row) * n;
-  const double part = std::max(-dot(columns, before_.data(), n), 0.0) / (longest_ + 2.0);
-  columns[slowest_] -= part * longest_ / before_[slowest_];
-  return -rate / (0.5 * longest_ + 1.0) - part * longest_ - drift;
+  const double distance = arrays_.distance[row], room = barrier.gain() * distance;
+  double rate = room / dt;
+  if (longest_ > 0.0 && distance >= 0.0) {
+    rate = stopping(room, -dot(arrays_.matrix + static_cast<long>(row) * n, before_.data(), n), dt);
+  }
+  return std::min(-rate, barrier.push()) - arrays_.drift[row];
+}
+
+// Return the speed from which a distance that falls at `approach` can still be stopped in a room.
+double Rows::stopping(double room, double approach, double dt) const {
+  const double slower = std::max(approach, 0.0) / longest_, reach = 2.0 * room * (slower / dt);
+  const double root = std::sqrt(slower * slower + reach) + slower;
+  const double own = root > 0.0 ? reach / root : 0.0;
+  return std::max(own, 2.0 * room / ((longest_ + 2.0) * dt));
 }
 
 // Return what a row must at least be once it is lowered to what the box allows. No row that only

@@ -73,7 +73,8 @@ class Rows {
 
  private:
   void limit(const double* lb, const double* ub, double dt);
-  double stoppable(const Barrier& barrier, int row, double dt) const;
+  double lower(const Barrier& barrier, int row, double dt) const;
+  double stopping(double room, double approach, double dt) const;
   double bounded(int row, double lower) const;
   void add_block(std::int64_t which, double dt);
 
@@ -94,8 +95,7 @@ class Rows {
   bool passed_ = false;
   std::vector<double> travel_, low_, high_;  // (nv,), (n,)
   std::vector<double> before_, brake_;       // v of the dofs (n,), and what braking leaves of it
-  int slowest_ = 0;                          // the dof that takes longest to rest
-  double longest_ = 0.0;                     // and how many steps
+  double longest_ = 0.0;                     // steps that the joints take to rest
   std::vector<std::int64_t> keys_;
 };
 

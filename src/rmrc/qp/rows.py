@@ -36,16 +36,17 @@ class Block:
 class Rows:
     """Gathers the rows of a step; their number may change from step to step.
 
-    A barrier's row is c·v ≥ −gain h/dt − drift with the slope c. With acceleration limits the robot
-    brakes along the line that it moves on, in N = max |v_i|/(a_i dt) steps (see `braking`), and the
-    distance falls by s (N + 1)/2 dt from a speed s = −c·v on: it must be left. To first order about
-    the velocity before, with half a step to spare, since N changes by up to 1,
+    A barrier's row is c·v ≥ −rate − drift with the slope c and rate = gain h/dt. With acceleration
+    limits the robot brakes along the line that it moves on, in N = max |u_i|/(a_i dt) steps from
+    the velocity u before (see `braking`), on which a distance that falls at s falls by s (N + 1)/2
+    dt until rest. N changes by at most 1 in a step, and in proportion where the robot slows down
+    as it brakes, with the deceleration α = −c·u/(N dt) of the distance. So
 
-        (N + 2)/2 c·v − s/2 sign(v_i) v_i/(a_i dt) ≥ −gain h/dt − s N/2
+        rate = max(2 gain h/((N + 2) dt), −α dt + √(α²dt² + 2 α gain h)):
 
-    with the joint i that takes longest; divided by (N + 2)/2. So the approach slows down as on
-    √(2 α h), with the deceleration α that the joints have in the direction of the motion, and what
-    moves along something is not held up. Where h < 0 the row asks for a way back at no more than
+    the first is what N allows that other motions of the robot need, as along a wall, the second
+    that of the approach itself. No column of a row depends on u: nearly the same joints would take
+    turns. Where h < 0 the row asks for a way back at no more than
     `push`. What the box alone makes impossible is not asked for: the check of the command where it
     leads says what comes of that.
     """
@@ -76,7 +77,7 @@ class Rows:
         """The barriers that have rows now."""
         self.passed = False
         """Whether a distance is below its limit."""
-        self._travel = np.zeros(model.nv)
+        self._travel, self._before = np.zeros(model.nv), np.zeros(problem.dofs.size)
         self._slides = Slides(model, evaluation.obstacle_twist)
 
     def update(self, qp: QP, rate: Array, dt: float) -> None:
@@ -96,10 +97,12 @@ class Rows:
         # Without a limit 0 · ∞ would be no number.
         low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
         fastest = np.maximum(np.abs(low), np.abs(high))
-        travel = fastest * dt
-        acceleration = problem.box.acceleration
+        travel, acceleration = fastest * dt, problem.box.acceleration
         slows, longest = np.isfinite(acceleration), (fastest / (acceleration * dt)).max()
         travel[slows] *= 1.0 + 0.5 * longest
+        self._before = self._evaluation.v_previous[dofs]
+        brake = braked(problem.box, self._before, dt, self._evaluation.data.qpos)
+        brake = np.clip(brake, low, high)
         self._travel.fill(0.0)
         self._travel[dofs] = travel
         self._slides.begin(self._evaluation.data.qpos, self._travel)
@@ -108,9 +111,10 @@ class Rows:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:
                 self.blocks.append(Block(barrier, near, slice(self.count, 0)))
-                rows, lower = self._stoppable(barrier, near, dt)
-                self._bound(rows, lower, (low, high), dt)
-                self._add(parts, rows, lower, np.full(lower.size, np.inf))
+                slope = near.slope[:, dofs]
+                lower = self._lower(barrier, near, slope, dt)
+                self._bound(slope, lower, low, high, brake)
+                self._add(parts, slope, lower, np.full(lower.size, np.inf))
                 self.blocks[-1].rows = slice(self.count - lower.size, self.count)
         for rows, upper in self._mink_rows(dt):
             self._add(parts, rows, np.full(upper.size, -np.inf), upper)
@@ -125,35 +129,32 @@ class Rows:
         parts.append((rows, lower, upper))
         self.count += upper.size
 
-    def _stoppable(self, barrier: Barrier, near: Near, dt: float) -> tuple[Array, Array]:
-        """Return the rows (k, n), and what they must at least be (k,)."""
-        problem, distance = self._problem, near.distance
-        self.passed |= bool(distance.min() < -problem.resolution)
-        rows, rate = near.slope[:, problem.dofs], barrier.gain / dt * distance
-        lower = np.minimum(-rate, barrier.push) - near.drift
-        before = self._evaluation.v_previous[problem.dofs]
-        steps = np.abs(before) / (problem.box.acceleration * dt)
-        slowest = int(steps.argmax())
-        longest = steps[slowest]
+    def _lower(self, barrier: Barrier, near: Near, slope: Array, dt: float) -> Array:
+        """Return what c·v must at least be (k,) for the slopes c (k, n)."""
+        distance = near.distance
+        self.passed |= bool(distance.min() < -self._problem.resolution)
+        room = barrier.gain * distance
+        rate = room / dt
+        before = self._before
+        longest = float((np.abs(before) / (self._problem.box.acceleration * dt)).max())
         if longest > 0.0:
-            ahead = distance >= 0.0
-            part = np.maximum(-(rows @ before), 0.0)[ahead] / (longest + 2.0)
-            rows[ahead, slowest] -= part * steps[slowest] / before[slowest]
-            lower[ahead] = -rate[ahead] / (0.5 * longest + 1.0) - part * longest - near.drift[ahead]
-        return rows, lower
+            slower = np.maximum(-(slope @ before), 0.0) / longest  # α dt
+            twice = 2.0 * np.maximum(room, 0.0)
+            root = np.sqrt(slower * slower + twice * (slower / dt)) + slower
+            stopping = np.divide(twice * (slower / dt), root, out=np.zeros_like(root), where=root > 0.0)
+            stopping = np.maximum(stopping, twice / ((longest + 2.0) * dt))
+            rate = np.where(distance >= 0.0, stopping, rate)
+        return np.minimum(-rate, barrier.push) - near.drift
 
-    def _bound(self, rows: Array, lower: Array, box: tuple[Array, Array], dt: float) -> None:
-        """Lower what rows must be (k,), in place, to what the box allows.
+    @staticmethod
+    def _bound(slope: Array, lower: Array, low: Array, high: Array, brake: Array) -> None:
+        """Lower what slope·v must be (k,), in place, to what the box allows.
 
         No row that only holds an approach back asks for more than the brake can do.
         """
-        problem, evaluation = self._problem, self._evaluation
-        low, high = box
-        before = evaluation.v_previous[problem.dofs]
-        brake = braked(problem.box, before, dt, evaluation.data.qpos)
-        least = rows @ np.clip(brake, low, high)
+        least = slope @ brake
         np.minimum(lower, least - ROUNDING * np.abs(least), out=lower, where=lower <= 0.0)
-        fastest = np.maximum(rows * low, rows * high).sum(axis=1)
+        fastest = np.maximum(slope * low, slope * high).sum(axis=1)
         fastest -= ROUNDING * np.abs(fastest)
         np.minimum(lower, fastest, out=lower)
 
