@@ -397,7 +397,7 @@ class PythonEngine:
             return False
         activity = qp.C @ v
         missed = np.maximum(qp.lo - activity, activity - qp.hi)
-        for block in rows.blocks:
+        for block in rows.blocks + rows.kept_blocks:
             missed[block.rows] = 0.0
         frames = slice(rows.speed_count)
         velocity, bound = activity[frames].reshape(-1, 3), qp.hi[frames].reshape(-1, 3)
@@ -413,8 +413,8 @@ class PythonEngine:
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._shortening is None or untouched or not self._in_time():
             return solution
-        end = self._shortening.end(evaluation.data, whole, dt)
-        if not raise_rows(qp, self._rows.blocks, end, dt, self.problem.resolution):
+        ends = self._shortening.ends(evaluation.data, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, ends, self.problem.resolution):
             return solution
         corrected = self._best()
         if not self._trusted(corrected):

@@ -1,6 +1,7 @@
 """The check of a command where it leads, and its shortening where a distance would be passed."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -229,12 +230,21 @@ class Shortening:
         """Return whether the time is over."""
         return self.deadline < math.inf and perf_counter() >= self.deadline
 
-    def end(self, data: mujoco.MjData, v: Array, dt: float) -> mujoco.MjData:
-        """Return the configuration that v (n,) leads to in a step of dt, for a while."""
+    def ends(
+        self, data: mujoco.MjData, v: Array, dt: float
+    ) -> Iterator[tuple[mujoco.MjData, float]]:
+        """Yield where v (n,) leads to in a step of dt, and where it comes to rest, each for a while.
+
+        With it how long the way there takes at v, s.
+        """
         self._start[:] = data.qpos
         carry_on(self._data, data, self._twist, dt)
-        self._place(v * dt)
-        return self._data
+        path = _Path(v, self._box, dt, self._start)
+        for place in (1, path.last)[: path.last]:
+            way = path.way(place)
+            self._place(way)
+            fastest = int(np.abs(v).argmax())
+            yield self._data, float(way[fastest] / v[fastest]) if v[fastest] else dt
 
     def _watched(self, data: mujoco.MjData, path: _Path, blocks: list[Block]) -> list[_Watched]:
         """Return the entries that a motion no longer than a path could carry below their limit."""

@@ -75,6 +75,8 @@ class Rows:
         """lo and hi (count,)."""
         self.blocks: list[Block] = []
         """The barriers that have rows now."""
+        self.kept_blocks: list[Block] = []
+        """The rows of what bounds their distances from above."""
         self.passed = False
         """Whether a distance is below its limit."""
         self._travel, self._before = np.zeros(model.nv), np.zeros(problem.dofs.size)
@@ -87,7 +89,7 @@ class Rows:
         """
         problem, dofs = self._problem, self._problem.dofs
         parts: list[tuple[Array, Array, Array]] = []
-        self.blocks = []
+        self.blocks, self.kept_blocks = [], []
         self.passed = False
         self.count = 0
         for speed, part in self._speeds:
@@ -111,17 +113,33 @@ class Rows:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:
                 self.blocks.append(Block(barrier, near, slice(self.count, 0)))
-                slope = near.slope[:, dofs]
-                lower = self._lower(barrier, near, slope, dt)
-                self._bound(slope, lower, low, high, brake)
-                self._add(parts, slope, lower, np.full(lower.size, np.inf))
-                self.blocks[-1].rows = slice(self.count - lower.size, self.count)
+                self._add_near(parts, barrier, near, (low, high, brake), dt)
+                self.blocks[-1].rows = slice(self.count - near.ids.size, self.count)
+                kept = barrier.kept(self._evaluation.data)
+                if kept is not None and kept.ids.size:
+                    self._add_near(parts, barrier, kept, (low, high, brake), dt)
+                    rows = slice(self.count - kept.ids.size, self.count)
+                    self.kept_blocks.append(Block(barrier, kept, rows))
         for rows, upper in self._mink_rows(dt):
             self._add(parts, rows, np.full(upper.size, -np.inf), upper)
         if parts:
             self.matrix = np.concatenate([part[0] for part in parts])
             self.lower = np.concatenate([part[1] for part in parts])
             self.upper = np.concatenate([part[2] for part in parts])
+
+    def _add_near(
+        self,
+        parts: list[tuple[Array, Array, Array]],
+        barrier: Barrier,
+        near: Near,
+        box: tuple[Array, Array, Array],
+        dt: float,
+    ) -> None:
+        """Add the rows of what is near, inside a box with its brake."""
+        slope = near.slope[:, self._problem.dofs]
+        lower = self._lower(barrier, near, slope, dt)
+        self._bound(slope, lower, *box)
+        self._add(parts, slope, lower, np.full(lower.size, np.inf))
 
     def _add(
         self, parts: list[tuple[Array, Array, Array]], rows: Array, lower: Array, upper: Array
@@ -177,7 +195,9 @@ class Rows:
 
     def kept(self) -> "KeptRows":
         """Return what the present rows are of, for later."""
-        blocks = [(block.barrier, block.near.ids, block.rows) for block in self.blocks]
+        blocks = [
+            (block.barrier, block.near.ids, block.rows) for block in self.blocks + self.kept_blocks
+        ]
         return KeptRows(self.speeds, blocks, self.lower, self.upper)
 
     @property

@@ -67,6 +67,16 @@ class Barrier(ABC):
             dt: Length of the step, s.
         """
 
+    def kept(self, data: mujoco.MjData) -> Near | None:
+        """Return further functions that bound h from above, after `near` at the same kinematics.
+
+        Of an entry that is near they are rows as it is, and no more than it asks for.
+        """
+        return None
+
+    def forget(self) -> None:
+        """Forget what such functions are of."""
+
     @abstractmethod
     def distances(self, data: mujoco.MjData, ids: NDArray[np.intp]) -> Array:
         """Return h of some entries (k,) at other kinematics."""
