@@ -15,6 +15,11 @@ namespace {
 constexpr double leave = 1.2;
 constexpr double farthest = 1e10;
 
+// rmrc.problem.limits.contacts: ASIDE; and how many numbers there are of one contact and of a pair.
+constexpr double aside = 0.05;
+constexpr int contact = 9;
+constexpr int stride = 4 * contact;
+
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
@@ -67,13 +72,20 @@ void Collision::near(const Kinematics& now, const double* travel, double dt, Nea
   }
   near.count = 0;
   each_active([&](int id) {
-    const int k = near.count++;
     direct(now, id);
-    near.ids[k] = id;
-    near.distance[k] = a_.distance[id] - a_.d_min;
-    near.drift[k] = drift(now, id);
-    differentiate(now, id, near.slope + static_cast<long>(k) * nv_);
+    write(now, id, a_.segments + 6 * id, a_.normals + 3 * id, a_.distance[id], near);
+    if (a_.distance[id] > a_.precision[0]) see_contact(now, id);
   });
+}
+
+// Write a pair at a segment between its geoms.
+void Collision::write(const Kinematics& now, int id, const double* segment, const double* normal,
+                      double distance, Near& near) const {
+  const int k = near.count++;
+  near.ids[k] = id;
+  near.distance[k] = distance - a_.d_min;
+  near.drift[k] = drift(now, id, segment, normal);
+  differentiate(now, id, segment, normal, near.slope + static_cast<long>(k) * nv_);
 }
 
 void Collision::keep(Memory& memory) {
@@ -93,6 +105,8 @@ void Collision::keep(Memory& memory) {
   for (const auto array : {&PairArrays::quaternion, &PairArrays::seen_quaternion}) {
     place(array, 4 * a_.bodies);
   }
+  place(&PairArrays::contacts, stride * a_.pairs);
+  place(&PairArrays::contact_count, a_.pairs);
   place(&PairArrays::active, a_.pairs);
   place(&PairArrays::measured, a_.pairs);
 }
@@ -234,12 +248,114 @@ void Collision::direct(const Kinematics& now, int id) {
   for (int i = 0; i < 3; ++i) kept[i] = normal[i] / length;
 }
 
+void Collision::kept(const Kinematics& now, Near& near) {
+  near.count = 0;
+  each_active([&](int id) {
+    if (!(a_.distance[id] > a_.precision[0])) return;
+    for (int k = 1; k < a_.contact_count[id]; ++k) {
+      const double* points = a_.contacts + static_cast<long>(stride) * id + contact * k;
+      double segment[6], normal[3], flat[3];
+      contact_segment(now, id, points, segment);
+      for (int i = 0; i < 3; ++i) normal[i] = segment[3 + i] - segment[i];
+      double distance = norm3(normal);
+      if (distance == 0.0) continue;
+      rotate(now.geom_xmat + 9 * a_.base[id], points + 6, flat);
+      const double height = dot3(flat, normal);
+      const double slid = std::sqrt(std::max(distance * distance - height * height, 0.0));
+      if (height > 0.0 && slid <= aside * distance) {
+        std::copy_n(flat, 3, normal);
+        distance = height;
+      } else {
+        for (double& value : normal) value /= distance;
+      }
+      distance = std::max(distance, a_.distance[id]);
+      if (distance < leave * threshold(id)) write(now, id, segment, normal, distance, near);
+    }
+  });
+}
+
+void Collision::forget() { std::fill_n(a_.contact_count, a_.pairs, 0); }
+
+// Take the nearest points of a pair now, and keep those of before where they have jumped.
+void Collision::see_contact(const Kinematics& now, int id) {
+  double* first = a_.contacts + static_cast<long>(stride) * id;
+  int count = static_cast<int>(a_.contact_count[id]);
+  double local[contact];
+  for (int side = 0; side < 2; ++side) {
+    const std::int64_t geom = a_.geoms[2 * id + side];
+    double arm[3];
+    for (int i = 0; i < 3; ++i) {
+      arm[i] = a_.segments[6 * id + 3 * side + i] - now.geom_xpos[3 * geom + i];
+    }
+    rotate_back(now.geom_xmat + 9 * geom, arm, local + 3 * side);
+  }
+  rotate_back(now.geom_xmat + 9 * a_.base[id], a_.normals + 3 * id, local + 6);
+  if (count > 0 && !is_same(id, local, first)) {
+    const int place = contact_place(now, id);
+    std::copy_n(first, contact, first + contact * place);
+    count = std::max(count, place + 1);
+  }
+  for (int place = 1; place < count;) {
+    if (is_same(id, local, first + contact * place)) {
+      --count;
+      std::copy_n(first + contact * count, contact, first + contact * place);
+    } else {
+      ++place;
+    }
+  }
+  std::copy_n(local, contact, first);
+  a_.contact_count[id] = std::max(count, 1);
+}
+
+// Return where to keep the nearest points of before: for the same, or for the farthest.
+int Collision::contact_place(const Kinematics& now, int id) const {
+  const double* first = a_.contacts + static_cast<long>(stride) * id;
+  const int count = static_cast<int>(a_.contact_count[id]);
+  for (int place = 1; place < count; ++place) {
+    if (is_same(id, first, first + contact * place)) return place;
+  }
+  if (count <= most_contacts) return count;
+  int farthest_place = 1;
+  double most = -1.0;
+  for (int place = 1; place < count; ++place) {
+    double segment[6], between[3];
+    contact_segment(now, id, first + contact * place, segment);
+    for (int i = 0; i < 3; ++i) between[i] = segment[3 + i] - segment[i];
+    const double square = dot3(between, between);
+    if (square <= most) continue;
+    most = square;
+    farthest_place = place;
+  }
+  return farthest_place;
+}
+
+// Write where kept points are now.
+void Collision::contact_segment(const Kinematics& now, int id, const double* points,
+                                double* segment) const {
+  for (int side = 0; side < 2; ++side) {
+    const std::int64_t geom = a_.geoms[2 * id + side];
+    rotate(now.geom_xmat + 9 * geom, points + 3 * side, segment + 3 * side);
+    for (int i = 0; i < 3; ++i) segment[3 * side + i] += now.geom_xpos[3 * geom + i];
+  }
+}
+
+// Whether the points of both geoms are no jump away.
+bool Collision::is_same(int id, const double* one, const double* other) const {
+  double a[3], b[3];
+  for (int i = 0; i < 3; ++i) {
+    a[i] = one[i] - other[i];
+    b[i] = one[3 + i] - other[3 + i];
+  }
+  return std::max(dot3(a, a), dot3(b, b)) <= a_.apart[id] * a_.apart[id];
+}
+
 // Write nᵀ(J_b − J_a) (nv,): the nearest points are on one line along n, so that the moment of n
 // about the world's origin is the same at both.
-void Collision::differentiate(const Kinematics& now, int id, double* slope) const {
-  const double *normal = a_.normals + 3 * id, *side = a_.side + static_cast<long>(id) * nv_;
+void Collision::differentiate(const Kinematics& now, int id, const double* segment,
+                              const double* normal, double* slope) const {
+  const double* side = a_.side + static_cast<long>(id) * nv_;
   double moment[3];
-  cross(a_.segments + 6 * id, normal, moment);
+  cross(segment, normal, moment);
   for (int dof = 0; dof < nv_; ++dof) {
     const double along = dot3(normal, origin_.data() + 3 * dof) + dot3(moment, now.cdof + 6 * dof);
     slope[dof] = side[dof] == 0.0 ? 0.0 : side[dof] * along;
@@ -247,17 +363,17 @@ void Collision::differentiate(const Kinematics& now, int id, double* slope) cons
 }
 
 // Return nᵀ(v_b − v_a) of the mocap bodies.
-double Collision::drift(const Kinematics& now, int id) const {
+double Collision::drift(const Kinematics& now, int id, const double* segment,
+                        const double* normal) const {
   double drift = 0.0;
   if (a_.mocaps == 0) return drift;
-  const double* normal = a_.normals + 3 * id;
   for (int side = 0; side < 2; ++side) {
     const std::int64_t mocap = a_.mocap[2 * id + side];
     if (mocap < 0) continue;
     const double* twist = a_.twist + 6 * mocap;
     const double* origin = now.xpos + 3 * a_.root[2 * id + side];
     double arm[3], moment[3];
-    for (int i = 0; i < 3; ++i) arm[i] = a_.segments[6 * id + 3 * side + i] - origin[i];
+    for (int i = 0; i < 3; ++i) arm[i] = segment[3 * side + i] - origin[i];
     cross(arm, normal, moment);
     const double speed = dot3(normal, twist) + dot3(moment, twist + 3);
     drift += side == 1 ? speed : -speed;

@@ -101,6 +101,11 @@ class Engine {
   /// Forget the last solution, so that the next solve starts cold.
   void forget();
 
+  /// Forget what the rows know of the steps before that is more than where things are.
+  void forget_rows() {
+    if (limits_ != nullptr) limits_->forget();
+  }
+
   /// Go through what there is to keep between two solves, if others come between them.
   void keep(Memory& memory);
 

@@ -24,9 +24,12 @@ void Engine::at_distance(double dt) {
   const bool relaxed = relaxed_;
   keep_distances(dt);
   if (share_ == 1.0 || boxed_ || !in_time()) return;
-  const Kinematics& led_to = shortening_->end(whole_.data(), dt);
+  correction_->begin();
+  correction_->see(shortening_->there(), shortening_->go_to_end(whole_.data(), dt));
+  const double rest = shortening_->go_to_rest(whole_.data(), dt);
+  if (rest > 0.0) correction_->see(shortening_->there(), rest);
   move_limits();
-  if (!correction_->raise_rows(led_to, program_.lb, program_.ub, dt, lower_.data())) return;
+  if (!correction_->raise_rows(program_.lb, program_.ub, lower_.data())) return;
   const Outcome first{residuals_, iterations_, share_, relaxed_};
   double* y = limits_->arrays().multiplier;
   shortened_ = v_;

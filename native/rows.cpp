@@ -15,6 +15,8 @@ namespace {
 constexpr double rounding = 1e-9;
 constexpr double fastest = 1e6;
 
+constexpr std::int64_t most_of_one = 4;  // rows of one entry
+
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 }  // namespace
@@ -52,9 +54,10 @@ void Rows::add(SpeedRows speed) {
 }
 
 void Rows::add(std::unique_ptr<Barrier> barrier) {
-  room_ += barrier->size();
+  room_ += barrier->size() + barrier->most_kept();
   if (room_ > capacity_) throw std::invalid_argument("there is no room for so many rows");
   blocks_.push_back({barrier.get(), 0, 0});
+  kept_blocks_.push_back({barrier.get(), 0, 0});
   barriers_.push_back(std::move(barrier));
 }
 
@@ -73,7 +76,14 @@ void Rows::update(const double* lb, const double* ub, double dt) {
   limit(lb, ub, dt);
   slides_.begin(now_.qpos, travel_.data());
   slides_.stretch(travel_.data(), dt);
-  for (std::size_t k = 0; k < blocks_.size(); ++k) add_block(static_cast<std::int64_t>(k), dt);
+  for (std::size_t k = 0; k < blocks_.size(); ++k) {
+    add_block(static_cast<std::int64_t>(k), dt);
+    add_kept(static_cast<std::int64_t>(k), dt);
+  }
+}
+
+void Rows::forget() {
+  for (const auto& barrier : barriers_) barrier->forget();
 }
 
 void Rows::keep(Memory& memory) {
@@ -84,7 +94,7 @@ void Rows::keep(Memory& memory) {
 void Rows::limit(const double* lb, const double* ub, double dt) {
   std::fill(travel_.begin(), travel_.end(), 0.0);
   double most = 0.0;
-  longest_ = 0.0;
+  longest_ = most_ = 0.0;
   for (std::size_t k = 0; k < dofs_.size(); ++k) {
     // Without a limit 0 · ∞ would be no number, and no joint goes further than around.
     low_[k] = std::max(lb[k], -fastest);
@@ -93,6 +103,8 @@ void Rows::limit(const double* lb, const double* ub, double dt) {
     const double change = limits_->acceleration[k] * dt, steps = std::abs(before_[k]) / change;
     most = std::max(most, std::max(std::abs(low_[k]), std::abs(high_[k])) / change);
     longest_ = std::max(longest_, steps);
+    const double speed = limits_->velocity[k] < fastest ? limits_->velocity[k] : 0.0;
+    most_ = std::max(most_, std::max(std::abs(before_[k]), speed) / change);
   }
   braked(*limits_, before_.data(), dt, now_.qpos, brake_.data());
   for (std::size_t k = 0; k < dofs_.size(); ++k) {
@@ -104,22 +116,44 @@ void Rows::limit(const double* lb, const double* ub, double dt) {
 }
 
 void Rows::add_block(std::int64_t which, double dt) {
-  const int n = static_cast<int>(dofs_.size()), nv = mujoco_.nv;
   Block& block = blocks_[which];
-  Near near{arrays_.ids + count_, arrays_.distance + count_,
-            arrays_.slope + static_cast<long>(count_) * nv, arrays_.drift + count_, 0};
+  Near near = free();
   block.barrier->near(now_, travel_.data(), dt, near);
-  block.first = count_;
-  block.count = near.count;
-  count_ += near.count;
+  add_rows(block, near.count, (which + 1) << 32, dt);
   for (int row = block.first; row < count_; ++row) {
-    keys_[row] = ((which + 1) << 32) + arrays_.ids[row];
+    passed_ |= arrays_.distance[row] < -resolution_;
+  }
+}
+
+void Rows::add_kept(std::int64_t which, double dt) {
+  Block& block = kept_blocks_[which];
+  Near near = free();
+  near.count = 0;
+  if (blocks_[which].count > 0) block.barrier->kept(now_, near);
+  add_rows(block, near.count, ((which + 1) << 32) + (std::int64_t{1} << 31), dt);
+}
+
+// Return where the next rows can stand.
+Near Rows::free() {
+  return {arrays_.ids + count_, arrays_.distance + count_,
+          arrays_.slope + static_cast<long>(count_) * mujoco_.nv, arrays_.drift + count_, 0};
+}
+
+// Write the rows of what a barrier has written, known by the key on and, of those of one entry, one
+// after another.
+void Rows::add_rows(Block& block, int count, std::int64_t key, double dt) {
+  const int n = static_cast<int>(dofs_.size()), nv = mujoco_.nv;
+  block.first = count_;
+  block.count = count;
+  count_ += count;
+  for (int row = block.first; row < count_; ++row) {
+    keys_[row] = key + most_of_one * arrays_.ids[row];
+    if (row > block.first) keys_[row] = std::max(keys_[row], keys_[row - 1] + 1);
     const double* slope = arrays_.slope + static_cast<long>(row) * nv;
     double* columns = arrays_.matrix + static_cast<long>(row) * n;
     for (int k = 0; k < n; ++k) columns[k] = slope[dofs_[k]];
     arrays_.lower[row] = bounded(row, lower(*block.barrier, row, dt));
     arrays_.upper[row] = infinity;
-    passed_ |= arrays_.distance[row] < -resolution_;
   }
 }
 
@@ -139,7 +173,7 @@ double Rows::stopping(double room, double approach, double dt) const {
   const double slower = std::max(approach, 0.0) / longest_, reach = 2.0 * room * (slower / dt);
   const double root = std::sqrt(slower * slower + reach) + slower;
   const double own = root > 0.0 ? reach / root : 0.0;
-  return std::max(own, 2.0 * room / ((longest_ + 2.0) * dt));
+  return std::max(own, 2.0 * room / ((most_ + 2.0) * dt));
 }
 
 // Return what a row must at least be once it is lowered to what the box allows. No row that only

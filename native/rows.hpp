@@ -44,6 +44,9 @@ class Rows {
   /// Write the rows at the present kinematics for a step of dt inside a box lb, ub (n,).
   void update(const double* lb, const double* ub, double dt);
 
+  /// Forget what barriers know of the steps before that is more than where things are.
+  void forget();
+
   /// Go through what there is to keep between two steps.
   void keep(Memory& memory);
 
@@ -61,6 +64,9 @@ class Rows {
   /// All barriers, those without a row included.
   const std::vector<Block>& blocks() const { return blocks_; }
 
+  /// The rows of all barriers that bound their distances from above.
+  const std::vector<Block>& kept_blocks() const { return kept_blocks_; }
+
   double resolution() const { return resolution_; }
   const std::vector<bool>& turning() const { return turning_; }
   const Slides& slides() const { return slides_; }
@@ -77,6 +83,9 @@ class Rows {
   double stopping(double room, double approach, double dt) const;
   double bounded(int row, double lower) const;
   void add_block(std::int64_t which, double dt);
+  void add_kept(std::int64_t which, double dt);
+  void add_rows(Block& block, int count, std::int64_t key, double dt);
+  Near free();
 
   MuJoCo mujoco_;
   Kinematics now_;
@@ -90,12 +99,12 @@ class Rows {
   Slides slides_;
   std::vector<SpeedRows> speeds_;
   std::vector<std::unique_ptr<Barrier>> barriers_;
-  std::vector<Block> blocks_;
+  std::vector<Block> blocks_, kept_blocks_;
   int count_ = 0;
   bool passed_ = false;
   std::vector<double> travel_, low_, high_;  // (nv,), (n,)
   std::vector<double> before_, brake_;       // v of the dofs (n,), and what braking leaves of it
-  double longest_ = 0.0;                     // steps that the joints take to rest
+  double longest_ = 0.0, most_ = 0.0;        // steps that the joints take to rest, and can take
   std::vector<std::int64_t> keys_;
 };
 

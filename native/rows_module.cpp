@@ -218,6 +218,9 @@ class BoundRows {
     a.measured = fields.flags("measured", p);
     a.room = fields.doubles("room", 1);
     a.travel = fields.doubles("travel", width);
+    a.apart = fields.doubles("apart", p);
+    a.contacts = fields.doubles("contacts", 36 * p);
+    a.contact_count = fields.integers("contact_count", p);
     a.position = fields.doubles("position", 3 * bodies);
     a.quaternion = fields.doubles("quaternion", 4 * bodies);
     a.seen_position = fields.doubles("seen_position", 3 * bodies);
@@ -280,6 +283,12 @@ class BoundRows {
       made.push_back({coordinate, dof, largest});
     }
     rows_->add(std::make_unique<BallRange>(std::move(made), gain, push, rows_->mujoco().nv));
+  }
+
+  std::vector<std::tuple<int, int>> kept_blocks() const {
+    std::vector<std::tuple<int, int>> found;
+    for (const Block& block : rows_->kept_blocks()) found.emplace_back(block.first, block.count);
+    return found;
   }
 
   std::vector<std::tuple<int, int>> blocks() const {
@@ -376,6 +385,8 @@ void bind_rows(nb::module_& m) {
           },
           "lb"_a, "ub"_a, "dt"_a, "Write the rows at the present kinematics.")
       .def_prop_ro("blocks", &BoundRows::blocks, "First row and number of rows of each barrier.")
+      .def_prop_ro("kept_blocks", &BoundRows::kept_blocks,
+                   "The same of those that bound their distances from above.")
       .def_prop_ro("count", [](BoundRows& bound) { return (*bound).count(); })
       .def_prop_ro("passed", [](BoundRows& bound) { return (*bound).passed(); });
   nb::class_<BoundShortening>(m, "Shortening", "How much of a command may be carried out.")

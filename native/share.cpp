@@ -77,10 +77,23 @@ void Shortening::blend(const double* v, const double* brake, double share, doubl
   path_.set_out(command_.data(), dt, rows_.now().qpos);
 }
 
-const Kinematics& Shortening::end(const double* v, double dt) {
-  for (int i = 0; i < n_; ++i) command_[i] = v[i] * dt;
+double Shortening::go_to_end(const double* v, double dt) {
+  path_.set_out(v, dt, rows_.now().qpos);
+  path_.way(1.0, command_.data());
   put(command_.data());
-  return own_;
+  return dt;
+}
+
+double Shortening::go_to_rest(const double* v, double dt) {
+  path_.set_out(v, dt, rows_.now().qpos);
+  if (path_.last() == 1.0) return 0.0;
+  path_.way(path_.last(), command_.data());
+  put(command_.data());
+  int most = 0;
+  for (int i = 1; i < n_; ++i) {
+    if (std::abs(v[i]) > std::abs(v[most])) most = i;
+  }
+  return command_[most] / v[most];
 }
 
 }  // namespace rmrc

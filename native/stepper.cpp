@@ -107,6 +107,7 @@ void Stepper::reset(const double* q, const double* v) {
   std::copy_n(v, engine_.mujoco().nv, state_.v);
   progress_.reset();
   engine_.forget();
+  engine_.forget_rows();
 }
 
 void Stepper::keep(Memory& memory) {
@@ -139,7 +140,9 @@ void Stepper::write(double* out) const {
   for (const KeptArray& array : kept_) out = std::copy_n(array.values, array.size, out);
   out = std::copy_n(moving_.values, moving_.size, out);
   if (const Rows* rows = engine_.limits()) {
-    for (const Block& block : rows->blocks()) *out++ = block.count;
+    for (std::size_t k = 0; k < rows->blocks().size(); ++k) {
+      *out++ = rows->blocks()[k].count + rows->kept_blocks()[k].count;
+    }
     out = std::copy_n(rows->arrays().ids, rows->count(), out);
     for (const double* values :
          {rows->arrays().lower, rows->arrays().upper, rows->arrays().multiplier}) {

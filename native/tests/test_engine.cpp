@@ -221,7 +221,7 @@ void expect(bool holds, const char* what, int step) {
 
 // The same arm with a pair of geoms, a plane, and a limit of its end's speed.
 struct LimitedFixture : Fixture {
-  static constexpr int capacity = 5;
+  static constexpr int capacity = 8;
   Arm own;
   double matrix[capacity * joints], lower[capacity], upper[capacity], multiplier[capacity];
   std::int64_t ids[capacity];
@@ -232,6 +232,8 @@ struct LimitedFixture : Fixture {
   double size[6] = {radius, 0, 0, radius, 0, 0}, radii[1] = {2.0 * radius};
   double thickness[1] = {radius}, levers[joints], side[joints], reach[2] = {0.0, 2.0 * radius};
   double spread[1] = {0.0}, width[1] = {2.0 * radius}, sign[1] = {1.0}, carries[joints] = {};
+  double apart[1] = {radius}, contacts[36] = {};
+  std::int64_t contact_count[1] = {};
   double precision[2] = {1e-9, 1e-3}, moves[joints], bound[1] = {-infinity}, threshold[1] = {0.1}, between[1] = {};
   double segments[6] = {}, normals[3] = {}, room[1] = {-infinity}, travel[joints] = {};
   double position[6] = {}, quaternion[8] = {}, seen_position[6], seen_quaternion[8];
@@ -288,6 +290,9 @@ struct LimitedFixture : Fixture {
     a.carries = carries;
     a.moves = moves;
     a.precision = precision;
+    a.apart = apart;
+    a.contacts = contacts;
+    a.contact_count = contact_count;
     a.bound = bound;
     a.threshold = threshold;
     a.distance = between;

@@ -142,6 +142,8 @@ class PythonEngine:
         """Forget the last solution, so that the next solve starts cold."""
         for solver in self._solvers.values():
             solver.ready = False
+        for barrier in self._rows.barriers:
+            barrier.forget()
 
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.

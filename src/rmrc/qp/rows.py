@@ -39,14 +39,14 @@ class Rows:
     A barrier's row is c·v ≥ −rate − drift with the slope c and rate = gain h/dt. With acceleration
     limits the robot brakes along the line that it moves on, in N = max |u_i|/(a_i dt) steps from
     the velocity u before (see `braking`), on which a distance that falls at s falls by s (N + 1)/2
-    dt until rest. N changes by at most 1 in a step, and in proportion where the robot slows down
-    as it brakes, with the deceleration α = −c·u/(N dt) of the distance. So
+    dt until rest. N changes by at most 1 in a step, and in proportion to s where the robot brakes,
+    with the deceleration α = −c·u/(N dt) of the distance. So
 
-        rate = max(2 gain h/((N + 2) dt), −α dt + √(α²dt² + 2 α gain h)):
+        rate = max(2 gain h/((M + 2) dt), −α dt + √(α²dt² + 2 α gain h)),  M = max v_max,i/(a_i dt):
 
-    the first is what N allows that other motions of the robot need, as along a wall, the second
-    that of the approach itself. No column of a row depends on u: nearly the same joints would take
-    turns. Where h < 0 the row asks for a way back at no more than
+    the second brakes the approach, and comes to 2 gain h/(N dt) where other motions, as along a
+    wall, keep N up; the first is what can be stopped whatever moves. That neither a column of a row
+    nor the first depends on u matters: joints that do nearly the same would take turns. Where h < 0 the row asks for a way back at no more than
     `push`. What the box alone makes impossible is not asked for: the check of the command where it
     leads says what comes of that.
     """
@@ -153,15 +153,17 @@ class Rows:
         self.passed |= bool(distance.min() < -self._problem.resolution)
         room = barrier.gain * distance
         rate = room / dt
-        before = self._before
-        longest = float((np.abs(before) / (self._problem.box.acceleration * dt)).max())
+        limits, before = self._problem.box, np.abs(self._before)
+        longest = float((before / (limits.acceleration * dt)).max())
         if longest > 0.0:
-            slower = np.maximum(-(slope @ before), 0.0) / longest  # α dt
-            twice = 2.0 * np.maximum(room, 0.0)
-            root = np.sqrt(slower * slower + twice * (slower / dt)) + slower
-            stopping = np.divide(twice * (slower / dt), root, out=np.zeros_like(root), where=root > 0.0)
-            stopping = np.maximum(stopping, twice / ((longest + 2.0) * dt))
-            rate = np.where(distance >= 0.0, stopping, rate)
+            fastest = np.maximum(before, np.where(limits.velocity < FASTEST, limits.velocity, 0.0))
+            most = float((fastest / (limits.acceleration * dt)).max())
+            slower = np.maximum(-(slope @ self._before), 0.0) / longest  # α dt
+            reach = 2.0 * np.maximum(room, 0.0) * (slower / dt)
+            root = np.sqrt(slower * slower + reach) + slower
+            own = np.divide(reach, root, out=np.zeros_like(root), where=root > 0.0)
+            own = np.maximum(own, 2.0 * room / ((most + 2.0) * dt))
+            rate = np.where(distance >= 0.0, own, rate)
         return np.minimum(-rate, barrier.push) - near.drift
 
     @staticmethod

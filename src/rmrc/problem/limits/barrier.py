@@ -54,6 +54,8 @@ class Barrier(ABC):
     """How many entries it has."""
     gain: float
     """Share of h that a step may use, in (0, 1]."""
+    most_kept: int = 0
+    """How many functions `kept` can give."""
     push: float
     """Largest speed of the way back, in units a second."""
 

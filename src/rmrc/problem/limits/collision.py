@@ -12,7 +12,7 @@ from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.limits import extents
 from rmrc.problem.limits.always_near import Whereabouts
 from rmrc.problem.limits.barrier import Barrier, Near
-from rmrc.problem.limits.contacts import Contacts
+from rmrc.problem.limits.contacts import KEPT, Contacts
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
 from rmrc.problem.limits.movement import Movement
 from rmrc.problem.limits.pairs import pair_name, resolve_pairs
@@ -143,6 +143,7 @@ class Collision(Barrier):
         """Whether each pair was measured at the poses of now."""
         self._segments = np.zeros((count, 6))
         self._normals = np.zeros((count, 3))
+        self.most_kept = KEPT * count
         self._contacts = Contacts(spec.geoms, self._turning.base, apart)
         self._travel = np.zeros(model.nv + 6 * model.nmocap)
         self._travel_now = np.zeros_like(self._travel)
