@@ -159,21 +159,21 @@ void Rows::add_rows(Block& block, int count, std::int64_t key, double dt) {
 
 // Return what slope·v must at least be.
 double Rows::lower(const Barrier& barrier, int row, double dt) const {
-  const int n = static_cast<int>(dofs_.size());
   const double distance = arrays_.distance[row], room = barrier.gain() * distance;
-  double rate = room / dt;
-  if (longest_ > 0.0 && distance >= 0.0) {
-    rate = stopping(room, -dot(arrays_.matrix + static_cast<long>(row) * n, before_.data(), n), dt);
-  }
+  const double rate = distance >= 0.0 ? stopping(row, room, dt) : room / dt;
   return std::min(-rate, barrier.push()) - arrays_.drift[row];
 }
 
-// Return the speed from which a distance that falls at `approach` can still be stopped in a room.
-double Rows::stopping(double room, double approach, double dt) const {
-  const double slower = std::max(approach, 0.0) / longest_, reach = 2.0 * room * (slower / dt);
+// Return the speed from which the distance of a row can still be stopped in a room.
+double Rows::stopping(int row, double room, double dt) const {
+  const double any = room * 2.0 / ((most_ + 2.0) * dt);
+  if (!(longest_ > 0.0)) return any;
+  const int n = static_cast<int>(dofs_.size());
+  const double* slope = arrays_.matrix + static_cast<long>(row) * n;
+  const double slower = std::max(-dot(slope, before_.data(), n), 0.0) / longest_;
+  const double reach = 2.0 * room * (slower / dt);
   const double root = std::sqrt(slower * slower + reach) + slower;
-  const double own = root > 0.0 ? reach / root : 0.0;
-  return std::max(own, 2.0 * room / ((most_ + 2.0) * dt));
+  return std::max(any, root > 0.0 ? reach / root : 0.0);
 }
 
 // Return what a row must at least be once it is lowered to what the box allows. No row that only

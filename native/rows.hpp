@@ -80,7 +80,7 @@ class Rows {
  private:
   void limit(const double* lb, const double* ub, double dt);
   double lower(const Barrier& barrier, int row, double dt) const;
-  double stopping(double room, double approach, double dt) const;
+  double stopping(int row, double room, double dt) const;
   double bounded(int row, double lower) const;
   void add_block(std::int64_t which, double dt);
   void add_kept(std::int64_t which, double dt);

@@ -124,6 +124,8 @@ class Moment:
         """Have the engine at this moment again, and afterwards its targets as they were."""
         engine = self.engine
         now = Moment(engine, self.q, self.v_previous, self.a_previous, self.dt)
+        memory = [array for barrier in engine.rows.barriers for array in barrier.memory]
+        remembered = [array.copy() for array in memory]
         engine.evaluation.restore(self._kept)
         engine.evaluation.a_previous[:] = self.a_previous
         engine.prepare(self.q, self.v_previous, self.dt)
@@ -131,6 +133,8 @@ class Moment:
             yield
         finally:
             engine.evaluation.restore(now._kept)
+            for array, values in zip(memory, remembered, strict=True):
+                array[:] = values
 
     def named_row(self, row: int) -> tuple[str, str, float, float]:
         """Return the kind of limit that a row belongs to, what it is of, its lo and its hi."""

@@ -152,18 +152,19 @@ class Rows:
         distance = near.distance
         self.passed |= bool(distance.min() < -self._problem.resolution)
         room = barrier.gain * distance
-        rate = room / dt
         limits, before = self._problem.box, np.abs(self._before)
         longest = float((before / (limits.acceleration * dt)).max())
+        fastest = np.maximum(before, np.where(limits.velocity < FASTEST, limits.velocity, 0.0))
+        most = float((fastest / (limits.acceleration * dt)).max())
+        rate = room * 2.0 / ((most + 2.0) * dt)
         if longest > 0.0:
-            fastest = np.maximum(before, np.where(limits.velocity < FASTEST, limits.velocity, 0.0))
-            most = float((fastest / (limits.acceleration * dt)).max())
-            slower = np.maximum(-(slope @ self._before), 0.0) / longest  # α dt
+            approach = -(slope * self._before).sum(axis=1)  # by @ its last bit depends on addresses
+            slower = np.maximum(approach, 0.0) / longest  # α dt
             reach = 2.0 * np.maximum(room, 0.0) * (slower / dt)
             root = np.sqrt(slower * slower + reach) + slower
             own = np.divide(reach, root, out=np.zeros_like(root), where=root > 0.0)
-            own = np.maximum(own, 2.0 * room / ((most + 2.0) * dt))
-            rate = np.where(distance >= 0.0, own, rate)
+            rate = np.maximum(rate, own)
+        rate = np.where(distance >= 0.0, rate, room / dt)
         return np.minimum(-rate, barrier.push) - near.drift
 
     @staticmethod
@@ -172,7 +173,7 @@ class Rows:
 
         No row that only holds an approach back asks for more than the brake can do.
         """
-        least = slope @ brake
+        least = (slope * brake).sum(axis=1)
         np.minimum(lower, least - ROUNDING * np.abs(least), out=lower, where=lower <= 0.0)
         fastest = np.maximum(slope * low, slope * high).sum(axis=1)
         fastest -= ROUNDING * np.abs(fastest)

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import mujoco
 import numpy as np
@@ -75,6 +75,11 @@ class Barrier(ABC):
         Of an entry that is near they are rows as it is, and no more than it asks for.
         """
         return None
+
+    @property
+    def memory(self) -> tuple[NDArray[Any], ...]:
+        """What a step leaves to the next."""
+        return ()
 
     def forget(self) -> None:
         """Forget what such functions are of."""

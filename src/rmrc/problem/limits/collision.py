@@ -216,6 +216,11 @@ class Collision(Barrier):
         near = distance < LEAVE * self._thresholds(ids)
         return self._at(data, ids[near], segments[near], normals[near], distance[near])
 
+    @property
+    def memory(self) -> tuple[NDArray[Any], ...]:
+        """What a step leaves to the next."""
+        return tuple(self._remembered().values())
+
     def forget(self) -> None:
         """Forget the points that were nearest before."""
         self._contacts.forget()
@@ -286,6 +291,11 @@ class Collision(Barrier):
             "precision": np.array([self._touching, self._blurred]),
             "moves": self._moves,
         }
+        contiguous = {name: np.ascontiguousarray(array) for name, array in fixed.items()}
+        return contiguous | self._remembered()
+
+    def _remembered(self) -> dict[str, NDArray[Any]]:
+        """Return what a step leaves to the next."""
         kept = {
             "bound": self._bound,
             "threshold": self._threshold,
@@ -299,8 +309,7 @@ class Collision(Barrier):
             "room": self._room,
             "travel": self._travel,
         }
-        contiguous = {name: np.ascontiguousarray(array) for name, array in fixed.items()}
-        return contiguous | kept | self._movement.arrays()
+        return kept | self._movement.arrays()
 
     def name(self, identity: int) -> str:
         """Return the names of the two geoms."""

@@ -37,8 +37,8 @@ class Contacts:
         now = np.empty(9)
         for side, geom in enumerate(self._geoms[pair].tolist()):
             three = slice(3 * side, 3 * side + 3)
-            now[three] = _axes(data, geom).T @ (segment[three] - data.geom_xpos[geom])
-        now[6:] = _axes(data, self._base[pair]).T @ normal
+            now[three] = _turned(_axes(data, geom).T, segment[three] - data.geom_xpos[geom])
+        now[6:] = _turned(_axes(data, self._base[pair]).T, normal)
         if count and not self._same(pair, now, points[0]):
             place = self._place(data, pair)
             points[place] = points[0]
@@ -59,11 +59,11 @@ class Contacts:
         for points in self.points[pair, 1 : max(int(self.count[pair]), 1)]:
             segment = self._segment(data, pair, points)
             normal = segment[3:] - segment[:3]
-            distance = float(np.sqrt(normal @ normal))
+            distance = float(np.sqrt((normal * normal).sum()))
             if distance == 0.0:
                 continue
-            flat = _axes(data, self._base[pair]) @ points[6:]
-            height = float(flat @ normal)
+            flat = _turned(_axes(data, self._base[pair]), points[6:])
+            height = float((flat * normal).sum())
             aside = np.sqrt(max(distance * distance - height * height, 0.0))
             if height > 0.0 and aside <= ASIDE * distance:
                 found.append((segment, flat, height))
@@ -89,13 +89,19 @@ class Contacts:
     def _segment(self, data: mujoco.MjData, pair: int, points: Array) -> Array:
         """Return where kept points are now (6,)."""
         ends = zip(self._geoms[pair].tolist(), (points[:3], points[3:6]), strict=True)
-        return np.concatenate([data.geom_xpos[g] + _axes(data, g) @ point for g, point in ends])
+        places = [data.geom_xpos[geom] + _turned(_axes(data, geom), at) for geom, at in ends]
+        return np.concatenate(places)
 
     def _same(self, pair: int, one: Array, other: Array) -> bool:
         """Return whether the points of both geoms are no jump away."""
-        way = one - other
-        return max(way[:3] @ way[:3], way[3:6] @ way[3:6]) <= self.apart[pair] ** 2
+        square = (one - other) ** 2
+        return max(square[:3].sum(), square[3:6].sum()) <= self.apart[pair] ** 2
 
 
 def _axes(data: mujoco.MjData, geom: int) -> Array:
     return data.geom_xmat[geom].reshape(3, 3)
+
+
+def _turned(axes: Array, vector: Array) -> Array:
+    """Return axes @ vector; by @ the last bit depends on the addresses."""
+    return (axes * vector).sum(axis=1)
