@@ -73,15 +73,17 @@ double longest(const JointLimits& limits, const double* v, double dt) {
   return std::max(steps, tiny);
 }
 
-// Return by how much |v| of a joint falls in each step where the slowest takes so many.
+// Return by how much |v| of a joint falls in each step where the slowest takes so many, once it has
+// gone on for a time from q.
 double slowed(const JointLimits& limits, std::size_t i, double v, double dt, const double* q,
-              double steps) {
+              double ahead, double steps) {
   const double speed = std::abs(v), most = limits.acceleration[i] * dt;
   if (!std::isfinite(most)) return most;
   const double change = speed / steps;
   if (q == nullptr) return change;
   const double at = q[limits.coordinate[i]];
-  const double way = 2.0 * (v > 0.0 ? limits.upper[i] - at : at - limits.lower[i]) - speed * dt;
+  const double room = v > 0.0 ? limits.upper[i] - at : at - limits.lower[i];
+  const double way = 2.0 * (room - speed * ahead) + speed * dt;
   return std::max(change, way > 0.0 ? std::min(speed * speed * dt / way, most) : most);
 }
 
@@ -91,7 +93,7 @@ void braking(const JointLimits& limits, const double* v, double dt, const double
              double* change) {
   const double most = longest(limits, v, dt);
   for (std::size_t i = 0; i < limits.acceleration.size(); ++i) {
-    change[i] = slowed(limits, i, v[i], dt, q, most);
+    change[i] = slowed(limits, i, v[i], dt, q, dt, most);
     steps[i] = v[i] == 0.0 ? 0.0 : std::abs(v[i]) / change[i];
   }
 }
@@ -99,7 +101,7 @@ void braking(const JointLimits& limits, const double* v, double dt, const double
 void braked(const JointLimits& limits, const double* v, double dt, const double* q, double* left) {
   const double most = longest(limits, v, dt);
   for (std::size_t i = 0; i < limits.acceleration.size(); ++i) {
-    const double change = slowed(limits, i, v[i], dt, q, most);
+    const double change = slowed(limits, i, v[i], dt, q, 0.0, most);
     left[i] = v[i] - std::min(std::max(v[i], -change), change);
   }
 }

@@ -14,12 +14,14 @@ struct JointLimits {
   std::vector<double> step;  // most that a joint moves in a step
 };
 
-/// Write the steps of dt that v (n,) takes to rest, and by how much |v| falls in each, as braking of
-/// rmrc.problem.limits.box; at q (nq,), or where no range ends if it is null.
+/// Write the steps of dt that v (n,) takes to rest once a step with it is over, and by how much |v|
+/// falls in each, as braking of rmrc.problem.limits.box; from q (nq,), or where no range ends if it
+/// is null.
 void braking(const JointLimits& limits, const double* v, double dt, const double* q, double* steps,
              double* change);
 
-/// Write what is left of v (n,) after a step of braking: braked of rmrc.problem.limits.box.
+/// Write what is left of v (n,), which has led to q (nq,), after a step of braking: braked of
+/// rmrc.problem.limits.box.
 void braked(const JointLimits& limits, const double* v, double dt, const double* q, double* left);
 
 /// Computes lb ≤ v ≤ ub of a step: position, velocity and acceleration clip the ends in this order.

@@ -166,7 +166,8 @@ double Rows::lower(const Barrier& barrier, int row, double dt) const {
 
 // Return the speed from which the distance of a row can still be stopped in a room.
 double Rows::stopping(int row, double room, double dt) const {
-  const double any = room * 2.0 / ((most_ + 2.0) * dt);
+  const double steps = longest_ > 0.0 || arrays_.drift[row] < 0.0 ? most_ : 0.0;
+  const double any = room * 2.0 / ((steps + 2.0) * dt);
   if (!(longest_ > 0.0)) return any;
   const int n = static_cast<int>(dofs_.size());
   const double* slope = arrays_.matrix + static_cast<long>(row) * n;

@@ -49,7 +49,7 @@ class _Path:
 
     def __init__(self, v: Array, box: Box, dt: float, q: Array | None = None):
         self._sign, self._speed, self.dt = np.sign(v), np.abs(v), dt
-        steps, change = braking(box, v, dt, q)
+        steps, change = braking(box, v, dt, q, ahead=dt)
         self._count = np.floor(steps)
         self._change = np.where(change < math.inf, change, 0.0)  # no ∞ · 0
         self._half = 0.5 * self._change

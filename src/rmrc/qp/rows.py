@@ -45,7 +45,8 @@ class Rows:
         rate = max(2 gain h/((M + 2) dt), −α dt + √(α²dt² + 2 α gain h)),  M = max v_max,i/(a_i dt):
 
     the second brakes the approach, and comes to 2 gain h/(N dt) where other motions, as along a
-    wall, keep N up; the first is what can be stopped whatever moves. That neither a column of a row
+    wall, keep N up; the first is what can be stopped whatever moves. From rest M is 0, but for what
+    comes near by itself, from which a retreat has to begin in time. That neither a column of a row
     nor the first depends on u matters: joints that do nearly the same would take turns. Where h < 0 the row asks for a way back at no more than
     `push`. What the box alone makes impossible is not asked for: the check of the command where it
     leads says what comes of that.
@@ -156,7 +157,8 @@ class Rows:
         longest = float((before / (limits.acceleration * dt)).max())
         fastest = np.maximum(before, np.where(limits.velocity < FASTEST, limits.velocity, 0.0))
         most = float((fastest / (limits.acceleration * dt)).max())
-        rate = room * 2.0 / ((most + 2.0) * dt)
+        steps = np.where((longest > 0.0) | (near.drift < 0.0), most, 0.0)
+        rate = room * 2.0 / ((steps + 2.0) * dt)
         if longest > 0.0:
             approach = -(slope * self._before).sum(axis=1)  # by @ its last bit depends on addresses
             slower = np.maximum(approach, 0.0) / longest  # α dt

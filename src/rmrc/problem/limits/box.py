@@ -37,27 +37,36 @@ class Box:
     """Most that a joint moves in a step, rad or m, whatever its other limits are."""
 
 
-def braking(box: Box, v: Array, dt: float, q: Array | None = None) -> tuple[Array, Array]:
+def braking(
+    box: Box, v: Array, dt: float, q: Array | None = None, *, ahead: float = 0.0
+) -> tuple[Array, Array]:
     """Return the steps of dt that v (n,) takes to rest, and by how much |v| falls in each.
 
     All joints brake in the proportions of v, so that the robot stays on the line that it moves on
     and nears nothing that it moves along; the joint that takes longest brakes at its a_max. A joint
-    whose range at q (nq,) ends before brakes as hard as it must, by v²/(2 r − v dt) with the way r
-    that is left, which is the same at every later step.
+    whose range ends before brakes as hard as it must, by v²/(2 r + v dt) with the way r that is left
+    then, which is the same at every later step.
+
+    Args:
+        box: The limits.
+        v: The velocity (n,).
+        dt: Length of a step, s.
+        q: Where the joints are (nq,), or else none has a range.
+        ahead: How long they still go on with v from there before they brake, s.
     """
     speed, most = np.abs(v), box.acceleration * dt
     limited = np.isfinite(most)
     change = np.where(limited, speed / max((speed / most).max(initial=0.0), TINY), most)
     if q is not None:
         way = np.where(v > 0.0, box.upper - q[box.coordinate], q[box.coordinate] - box.lower)
-        way = 2.0 * way - speed * dt
+        way = 2.0 * (way - speed * ahead) + speed * dt
         needed = np.divide(speed * speed * dt, way, out=most.copy(), where=way > 0.0)
         change = np.maximum(change, np.minimum(needed, most))
     return np.divide(speed, change, out=np.zeros_like(speed), where=speed > 0.0), change
 
 
 def braked(box: Box, v: Array, dt: float, q: Array) -> Array:
-    """Return what is left of v (n,) after a step of braking, rad/s or m/s."""
+    """Return what is left of v (n,), which has led to q (nq,), after a step of braking."""
     _, change = braking(box, v, dt, q)
     return v - np.clip(v, -change, change)
 
