@@ -30,7 +30,7 @@ struct PairArrays {
   double *bound, *threshold, *distance, *segments, *normals;
   std::uint8_t *active, *measured;
   double *room, *travel;
-  double* contacts;                                 // (p, 4, 9): rmrc.problem.limits.contacts
+  double* contacts;                                 // (p, 4, 9)
   std::int64_t* contact_count;                      // (p,)
   double *position, *quaternion, *seen_position, *seen_quaternion;
 };
@@ -68,7 +68,10 @@ class Collision final : public Barrier {
   double bend(int id, double reach, const double* speed, const double* change) const;
 
  private:
+  static constexpr double leave = 1.2;     // rmrc.problem.limits.collision.LEAVE
   static constexpr int most_contacts = 3;  // rmrc.problem.limits.contacts.KEPT
+  static constexpr int contact = 9;        // numbers of one contact, and of those of a pair
+  static constexpr int contacts_of_pair = (most_contacts + 1) * contact;
 
   template <class Action>
   void each_active(Action action) const;
@@ -90,6 +93,7 @@ class Collision final : public Barrier {
   double drift(const Kinematics& now, int id, const double* segment, const double* normal) const;
 
   void see_contact(const Kinematics& now, int id);
+  void write_contacts(const Kinematics& now, int id, Near& near) const;
   int contact_place(const Kinematics& now, int id) const;
   void contact_segment(const Kinematics& now, int id, const double* points, double* segment) const;
   bool is_same(int id, const double* one, const double* other) const;

@@ -9,6 +9,7 @@ import rmrc
 from rmrc import Problem, Step
 from rmrc.control.engines import Engine
 from rmrc.control.step import ACTIVE_MULTIPLIER
+from rmrc.problem.limits.box import braked
 from rmrc.qp.program import Solution
 
 Array = NDArray[np.float64]
@@ -129,7 +130,8 @@ def beyond_brake(step: Step) -> float:
     """
     engine = step.moment.engine
     rows, dofs, qp = engine.rows, engine.problem.dofs, engine.assembly.qp
-    brake = np.clip(0.0, qp.lb, qp.ub)
+    moment, box = step.moment, engine.problem.box
+    brake = braked(box, moment.v_previous[dofs], moment.dt, moment.q).clip(qp.lb, qp.ub)
     given = np.maximum(rows.lower - rows.matrix @ step.v[dofs], 0.0)
     allowed = np.maximum(rows.lower - rows.matrix @ brake, 0.0)
     return float((given - allowed).max(initial=0.0))

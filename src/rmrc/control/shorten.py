@@ -233,9 +233,9 @@ class Shortening:
     def ends(
         self, data: mujoco.MjData, v: Array, dt: float
     ) -> Iterator[tuple[mujoco.MjData, float]]:
-        """Yield where v (n,) leads to in a step of dt, and where it comes to rest, each for a while.
+        """Yield where v (n,) leads to in a step of dt, and where it comes to rest.
 
-        With it how long the way there takes at v, s.
+        Each is there until the next is asked for; with it comes how long v takes to go there, s.
         """
         self._start[:] = data.qpos
         carry_on(self._data, data, self._twist, dt)

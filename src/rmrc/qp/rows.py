@@ -1,6 +1,5 @@
 """The rows lo ≤ C v ≤ hi of a step: barriers, speeds of frames, and limits of mink's."""
 
-import math
 from dataclasses import dataclass
 
 import mink
@@ -46,10 +45,11 @@ class Rows:
 
     the second brakes the approach, and comes to 2 gain h/(N dt) where other motions, as along a
     wall, keep N up; the first is what can be stopped whatever moves. From rest M is 0, but for what
-    comes near by itself, from which a retreat has to begin in time. That neither a column of a row
-    nor the first depends on u matters: joints that do nearly the same would take turns. Where h < 0 the row asks for a way back at no more than
-    `push`. What the box alone makes impossible is not asked for: the check of the command where it
-    leads says what comes of that.
+    comes near by itself, from which a retreat has to begin in time. No column of a row depends on
+    u, nor does the first: joints that do nearly the same would take turns.
+
+    Where h < 0 the row asks for a way back at no more than `push`. What the box alone makes
+    impossible is not asked for: the check of the command where it leads says what comes of that.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation):

@@ -83,6 +83,7 @@ class Barrier(ABC):
 
     def forget(self) -> None:
         """Forget what such functions are of."""
+        return
 
     @abstractmethod
     def distances(self, data: mujoco.MjData, ids: NDArray[np.intp]) -> Array:

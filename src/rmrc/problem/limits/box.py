@@ -44,8 +44,8 @@ def braking(
 
     All joints brake in the proportions of v, so that the robot stays on the line that it moves on
     and nears nothing that it moves along; the joint that takes longest brakes at its a_max. A joint
-    whose range ends before brakes as hard as it must, by v²/(2 r + v dt) with the way r that is left
-    then, which is the same at every later step.
+    whose range ends before brakes as hard as it must, by v²/(2 r + v dt) with the way r that is
+    left then, which is the same at every later step.
 
     Args:
         box: The limits.

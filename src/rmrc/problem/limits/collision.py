@@ -415,9 +415,7 @@ class Collision(Barrier):
         self._normals[ids] = normals
         return normals
 
-    def _slopes(
-        self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array
-    ) -> Array:
+    def _slopes(self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array) -> Array:
         """Return nᵀ(J_b − J_a) (k, nv).
 
         The nearest points are on one line along n. So a dof that moves both geoms leaves d as it
@@ -430,9 +428,7 @@ class Collision(Barrier):
         slopes *= self._side[ids]
         return slopes
 
-    def _drifts(
-        self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array
-    ) -> Array:
+    def _drifts(self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array) -> Array:
         """Return nᵀ(v_b − v_a) (k,) of the mocap bodies."""
         drifts = np.zeros(ids.size)
         if not self._twist.size:

@@ -18,8 +18,8 @@ class Contacts:
 
     The first of a pair's `count` is the nearest of now, the others were it before it jumped, by
     more than the ball that fits into the thinner geom. The distance of two points of the geoms is
-    at least that of the geoms. Those that slide a little along each other are a corner and its place
-    on a face, whose distance is that of the point and the plane: its normal stands in one geom.
+    at least that of the geoms. Those that slide a little along each other are a corner and its
+    place on a face: the distance is that of a point and a plane, whose normal stands in one geom.
     """
 
     def __init__(self, geoms: NDArray[np.intp], base: NDArray[np.intp], apart: Array):
