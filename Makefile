@@ -25,8 +25,9 @@ $(VENV)/test.stamp: pyproject.toml $(NATIVE)
 demo: $(VENV)/demo.stamp
 	$(BIN)/rmrc solve configs/panda_line.yaml
 
+# In two processes, a file in one of them: what its tests share is made once.
 test: $(VENV)/test.stamp
-	$(BIN)/python -m pytest
+	$(ONE) $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -m slow
@@ -45,6 +46,7 @@ bench: $(VENV)/test.stamp
 	$(ONE) $(BIN)/python bench/jitter.py --json bench/results.json
 	$(ONE) $(BIN)/python bench/slowest.py --json bench/results.json
 	$(ONE) $(BIN)/python bench/scaling.py --json bench/results.json --plot docs/scaling.svg
+	$(BIN)/python bench/still.py docs/unreachable.svg
 	$(BIN)/python bench/table.py
 
 instructions: $(VENV)/test.stamp

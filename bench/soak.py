@@ -98,8 +98,10 @@ def walk(mix: Mix, seed: int, most: int, folder: Path) -> Iterator[Report]:
     try:
         episode = Episode(scene, seed, folder, mix.native)
         figures.refused = episode.refused
+        said = time.monotonic()
         for taken in episode.run(min(steps, most), figures, True):
-            if taken % 50 == 0:
+            if time.monotonic() > said + 1.0:
+                said = time.monotonic()
                 yield Report(seed, taken)
     except Violation as violation:
         broken = f"{mix.again(seed)}: {violation}"

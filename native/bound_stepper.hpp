@@ -28,7 +28,7 @@ class BoundStepper {
   BoundStepper(nanobind::object engine, nanobind::object owner, Writing q, Writing v,
                Writing v_previous, double dt, std::vector<int> quaternions,
                const std::vector<bool>& frozen, double budget, const std::vector<Reading>& kept,
-               Flags moving, const WatchedTasks& watched, Reading targets, double tolerance);
+               Flags moving, const WatchedTasks& watched, double tolerance);
 
   /// Have a target set by this name.
   void add_target(nanobind::str name, bool pose, Writing target, Writing twist,

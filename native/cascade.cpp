@@ -50,6 +50,7 @@ Cascade::Cascade(int size, const LevelSizes& sizes, int max_rows, int max_equali
       residual_(size + 1),
       reach_(static_cast<std::size_t>(std::max(sizes.rows, sizes.directed)) * size),
       missing_(std::max(sizes.rows, sizes.directed)) {
+  optima_.resize(static_cast<std::size_t>(sizes.levels) * size);
   solvers_.emplace_back(size, max_rows, max_equalities, max_iterations);
   for (int k = 0; k < sizes.levels; ++k) {
     solvers_.emplace_back(size + 1, size + max_rows, sizes.directed, max_iterations);
@@ -71,6 +72,7 @@ Status Cascade::solve(const std::vector<Level>& levels, const Program& limits,
   end_ = end;
   iterations_ = 0;
   scale_ = 1.0;
+  optimum_count_ = 0;
   residuals_ = {};
   for (int i = 0; i < size_; ++i) v_[i] = std::min(std::max(0.0, limits.lb[i]), limits.ub[i]);
   std::fill(z_.begin(), z_.end(), 0.0);
@@ -89,9 +91,14 @@ Status Cascade::solve(const std::vector<Level>& levels, const Program& limits,
 
 Status Cascade::descend(const std::vector<Level>& levels) {
   QPSolver* solver = solvers_.data() + 1;
+  bool begun = false;
   for (const Level& level : levels) {
     for (const bool first : {true, false}) {
+      if (!level.asked) continue;
       if (free_count_ == 0) return Status::solved;
+      if (first && std::exchange(begun, true)) {
+        std::copy_n(v_.begin(), size_, optima_.begin() + optimum_count_++ * size_);
+      }
       const Status status = first ? fastest(level, solver[0]) : nearest(level, solver[1]);
       if (status != Status::solved) return status;
     }

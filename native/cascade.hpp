@@ -23,6 +23,7 @@ struct Level {
   int directed;
   const double* jacobian;   // J (directed, n) of the tasks that move along ẋ
   const double* direction;  // ẋ (directed,) of theirs
+  bool asked = true;        // whether it counts at this step
 };
 
 /// The most that the levels of a problem have.
@@ -53,6 +54,12 @@ class Cascade {
   void keep(Memory& memory);
 
   const double* v() const { return v_.data(); }
+
+  /// v_k (n,) of level k, counting those that were asked: the answer itself for the last that was
+  /// solved, null for those behind it.
+  const double* optimum(int k) const {
+    return k < optimum_count_ ? optima_.data() + k * size_ : k == optimum_count_ ? v() : nullptr;
+  }
 
   /// The multipliers of bounds and rows, summed over the levels.
   const double* bound_multiplier() const { return z_.data(); }
@@ -97,6 +104,8 @@ class Cascade {
   Residuals residuals_{};
   int iterations_ = 0;
   double scale_ = 1.0;
+  std::vector<double> optima_;  // v_k of the levels above the last that was begun
+  int optimum_count_ = 0;
 
   // A level's program over z, and over α behind it.
   std::vector<double> H_, g_, lb_, ub_, C_, lo_, hi_, E_, f_;

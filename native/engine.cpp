@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "kernels.hpp"
@@ -14,6 +15,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double certified = 1e-6;  // rmrc.control.engine.CERTIFIED
 constexpr double raised = 1e-6;     // rmrc.qp.damping.RAISED
 constexpr double whole = 1e-6;      // rmrc.qp.cascade.WHOLE
+constexpr double inconsistent = 1e-6;  // rmrc.qp.relax.INCONSISTENT
 
 Ending ending_of(Status status) {
   switch (status) {
@@ -64,6 +66,7 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       residual_(constants_.dofs.size()),
       gradient_(mujoco.nv),
       curvature_(constants_.dofs.size()),
+      exact_(constants_.dofs.size()),
       v_previous_(constants_.dofs.size()),
       a_previous_(constants_.dofs.size()),
       planned_(constants_.dofs.size()) {
@@ -95,11 +98,23 @@ void Engine::hold(std::unique_ptr<Equalities> equalities) {
 }
 
 void Engine::descend(std::vector<LevelTasks> levels, LastMetric metric) {
+  LevelTasks hard;
+  hard.hard = true;
+  for (int k = 0; k < static_cast<int>(rows_.size()); ++k) {
+    if (rows_[k]->is_hard()) hard.parts.push_back({k, {}});
+  }
+  if (!hard.parts.empty()) levels.insert(levels.begin(), std::move(hard));
   levels_ = std::make_unique<Levels>(std::move(levels), std::move(metric), constants_.dofs,
                                      mujoco_.nv, rows_);
   cascade_ = std::make_unique<Cascade>(
       size(), levels_->sizes(), limits_ == nullptr ? 0 : limits_->capacity(),
       equalities_ == nullptr ? 0 : equalities_->capacity(), max_iterations_);
+  const auto rows = static_cast<std::size_t>(levels_->sizes().rows);
+  missed_.resize(rows);
+  gram_.resize(rows * rows);
+  all_rows_.resize(rows);
+  std::iota(all_rows_.begin(), all_rows_.end(), 0);
+  gram_factor_.emplace(static_cast<int>(rows));
 }
 
 bool Engine::scaled() const { return cascade_ != nullptr && cascade_->scale() < 1.0 - whole; }
@@ -143,12 +158,12 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
     evaluate_terms();
   }
   assemble(dt);
-  if (equalities_ != nullptr) equalities_->update();
+  if (equalities_ != nullptr) update_equalities();
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
   const bool warm = warm_ && cascade_ == nullptr;
   Ending ending = best();
   if (!trusted(ending)) ending = descend_ladder(ending, warm);
-  keep_still(dt);
+  if (softened_ && missed_softly() > inconsistent) relaxed_ = true;
   if (shortening_ != nullptr && limits_->count() > 0) at_distance(dt);
   return ending;
 }
@@ -244,86 +259,6 @@ void Engine::add_curvature() {
   if (levels_ != nullptr) levels_->curve(rows_, program_.rate, dt_, constants_.least_curvature);
 }
 
-// Slow down what drives the errors: rmrc.qp.braking.
-void Engine::brake_in_time() {
-  const int n = size(), nv = mujoco_.nv;
-  double *driven = braking_.driven(), *way = braking_.way(), gain = 0.0;
-  std::fill_n(driven, n, 0.0);
-  std::fill_n(way, n, 0.0);
-  for (const auto& term : rows_) {
-    if (!term->counts() || term->data().gain == 0.0) continue;
-    const double capped = std::min(term->data().gain, 1.0 / dt_);
-    term->pull(program_.rate, capped, driven, way);
-    gain = std::max(gain, capped);
-  }
-  for (const JointTerm& term : joints_) {
-    if (term.data.gain == 0.0) continue;
-    const double capped = std::min(term.data.gain, 1.0 / dt_);
-    unfed_.assign(program_.rate + term.data.first, program_.rate + term.data.first + nv);
-    for (int i = 0; i < nv; ++i) unfed_[i] -= stack_.feedforward[term.data.first + i];
-    for (int i = 0; i < n; ++i) {
-      const double pulled = term.weighed(constants_.dofs[i], unfed_.data());
-      driven[i] += pulled;
-      way[i] += pulled / capped;
-    }
-    if (term.counts()) gain = std::max(gain, capped);
-  }
-  if (gain == 0.0) return;
-  const double share = braking_.slow(program_.H, gain, dt_);
-  if (share < 0.0) return;
-  if (cascade_ != nullptr) {
-    const auto scale = [&](const TermData& data) {
-      for (int i = data.first; i < data.first + data.rows; ++i) {
-        program_.rate[i] -= (1.0 - share) * (program_.rate[i] - stack_.feedforward[i]);
-      }
-    };
-    for (const auto& term : rows_) {
-      if (term->counts() && term->data().gain != 0.0) scale(term->data());
-    }
-    for (const JointTerm& term : joints_) {
-      if (term.counts() && term.data.gain != 0.0) scale(term.data);
-    }
-  } else if (braking_.jerks() && is_still()) {
-    const double* w = braking_.followed(share, v_previous_.data(), dt_);
-    for (int i = 0; i < n; ++i) program_.g[i] += driven[i] - dot(program_.H + i * n, w, n);
-  } else {
-    for (int i = 0; i < n; ++i) program_.g[i] += (1.0 - share) * driven[i];
-  }
-}
-
-// Whether no target that a task has a gain for moves.
-bool Engine::is_still() const {
-  const auto rests = [&](const TermData& data) {
-    const double* fed = stack_.feedforward + data.first;
-    return data.gain == 0.0 || std::all_of(fed, fed + data.rows, [](double x) { return x == 0.0; });
-  };
-  return std::all_of(rows_.begin(), rows_.end(), [&](const auto& t) { return rests(t->data()); }) &&
-         std::all_of(joints_.begin(), joints_.end(), [&](const auto& t) { return rests(t.data); });
-}
-
-// Scale v where the tasks that no cost draws would pass what they are drawn to: for targets at rest,
-// and where v = 0 is inside the limits.
-void Engine::keep_still(double dt) {
-  const int n = size();
-  const bool any = std::any_of(rows_.begin(), rows_.end(),
-                               [](const auto& term) { return term->looked(); });
-  if (!any || !is_still()) return;
-  for (int i = 0; i < n; ++i) {
-    if (!(program_.lb[i] <= 0.0 && program_.ub[i] >= 0.0)) return;
-  }
-  std::fill(curvature_.begin(), curvature_.end(), 0.0);
-  double drawn = 0.0, curved = 0.0;
-  for (const auto& term : rows_) {
-    if (!term->looked()) continue;
-    drawn += term->drawn(program_.rate, v_.data(), dt, curved);
-    term->add_curvature(program_.rate, dt, 0.0, curvature_.data());
-  }
-  for (int i = 0; i < n; ++i) curved += curvature_[i] * v_[i] * v_[i];
-  if (!(curved > 0.0)) return;
-  const double scale = std::min(1.0, std::max(0.0, drawn) / curved);
-  for (int i = 0; i < n; ++i) v_[i] *= scale;
-}
-
 void Engine::add_joints() {
   if (joints_.empty()) return;
   std::fill(gradient_.begin(), gradient_.end(), 0.0);
@@ -385,12 +320,20 @@ Ending Engine::best() { return cascade_ == nullptr ? attempt() : solve_levels();
 Ending Engine::solve_levels() {
   const Program limits = program();
   const double square = constants_.floor + *program_.added_damping;
-  const std::vector<Level>& levels = levels_->gather(rows_, stack_, program_.rate,
-                                                     program_.inertia, constants_.unit * square);
-  const Ending ending = ending_of(cascade_->solve(levels, limits, end_));
+  const std::vector<Level>* levels = nullptr;
+  Status status = Status::failed;
+  for (const bool directed : {true, false}) {
+    levels = &levels_->gather(rows_, stack_, program_.rate, program_.inertia,
+                              constants_.unit * square,
+                              {directed, softened_, dt_, constants_.least_curvature});
+    status = cascade_->solve(*levels, limits, end_);
+    if (!turns_back()) break;
+  }
+  const Ending ending = ending_of(status);
   iterations_ = cascade_->iterations();
   residuals_ = cascade_->residuals();
   std::copy_n(cascade_->v(), size(), v_.begin());
+  if (constants_.brakes && is_still()) spare(*levels);
   std::copy_n(cascade_->bound_multiplier(), size(), z_.begin());
   if (limits_ != nullptr) {
     std::copy_n(cascade_->row_multiplier(), limits.rows, limits_->arrays().multiplier);

@@ -10,6 +10,7 @@
 #include "box.hpp"
 #include "braking.hpp"
 #include "certificate.hpp"
+#include "cholesky.hpp"
 #include "correction.hpp"
 #include "damping.hpp"
 #include "equalities.hpp"
@@ -46,6 +47,7 @@ struct Constants {
   double floor;                  // λ₀²
   double least_curvature;        // the least dt K in X
   bool brakes;                   // whether what drives the errors brakes in time
+  double soft_ratio;             // of the weights of a level and the one above it
 };
 
 /// How a step ended: as in rmrc.qp.program.SolveStatus.
@@ -176,8 +178,18 @@ class Engine {
   void add_terms();
   void add_curvature();
   void brake_in_time();
+
   bool is_still() const;
-  void keep_still(double dt);
+  void update_equalities();
+  bool cannot_hold();
+  template <class Which>
+  bool passes(const double* v, Which which);
+  template <class Which>
+  bool is_weak(const double* v, Which which);
+  bool turns_back();
+  void soften();
+  double missed_softly();
+  void spare(const std::vector<Level>& levels);
   void add_joints();
   void add_inertia();
   Ending attempt();
@@ -226,6 +238,7 @@ class Engine {
   std::optional<Correction> correction_;
   std::optional<LeastViolation> least_;
   bool moved_ = false, boxed_ = false, relaxed_ = false;
+  bool softened_ = false;  // whether hard tasks that bend are a cost at this step
   double share_ = 1.0;
   std::vector<double> lower_, upper_, right_;  // what limits were moved to
   std::vector<double> whole_, brake_, shortened_, first_z_, first_y_, first_w_;
@@ -243,6 +256,10 @@ class Engine {
   std::vector<double> v_, z_, residual_;
   std::vector<double> gradient_;  // (nv,)
   std::vector<double> curvature_;  // X of one program (n,)
+  std::vector<double> exact_;      // a row of a hard task, or the shortest v that holds them (n,)
+  std::vector<double> missed_, gram_;  // of what a level cannot get (rows,), (rows, rows)
+  std::vector<int> all_rows_;      // 0, 1, 2 …
+  std::optional<Cholesky> gram_factor_;
   std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
   std::vector<double> planned_;  // what braking leaves of the velocity (n,)

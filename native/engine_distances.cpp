@@ -40,7 +40,6 @@ void Engine::at_distance(double dt) {
   }
   relaxed_ = relaxed;
   if (trusted(best())) {
-    keep_still(dt);
     keep_distances(dt);
     if (share_ > first.share + gained) return;
   }

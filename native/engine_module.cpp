@@ -41,7 +41,7 @@ struct RowsArgument {
   Reading target, twist;
   Flags moving;
   std::vector<WayJoint> way;
-  Numbers look;
+  Numbers exact_root;
 };
 
 struct FrameArgument {
@@ -71,7 +71,7 @@ class BoundEngine {
               Writing rate, Writing jacobian, Reading v_previous, Reading a_previous,
               std::vector<int> dofs, Numbers hessian, double unit, double share_of_inertia,
               double floor, double least_curvature,
-              bool brakes,
+              bool brakes, double soft_ratio,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                Numbers, Numbers>& limits,
               Writing H, Writing g, Writing added_damping, Writing inertia, Writing lb, Writing ub,
@@ -134,7 +134,7 @@ class BoundEngine {
         ProgramArrays{H.data(), g.data(), lb.data(), ub.data(), rate.data(),
                       added_damping.data(), inertia.data(), a_previous.data()},
         Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor, least_curvature,
-                  brakes},
+                  brakes, soft_ratio},
         JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step},
         max_iter);
   }
@@ -247,7 +247,8 @@ class BoundEngine {
 
   void add_foreign(const RowsArgument& rows) { add<ForeignRows>(rows, rows.data.rows, 0); }
 
-  void add_joint_task(const RowsArgument& rows, const std::string& kind) {
+  void add_joint_task(const RowsArgument& rows, const std::string& kind,
+                      const std::vector<int>& wrapped) {
     const auto nv = static_cast<std::size_t>(engine_->mujoco().nv);
     if (rows.root.size() != nv && rows.root.size() != nv * nv) {
       throw std::invalid_argument("the weight has a wrong size");
@@ -262,7 +263,9 @@ class BoundEngine {
                                : task == JointTask::velocity ? nv
                                                              : 0;
     require_target(rows, target);
-    engine_->add(JointTerm{checked(rows, static_cast<int>(nv), engine_->stack().errors), task, rows.root});
+    for (const int dof : wrapped) require_index(dof, engine_->mujoco().nv, "dof");
+    engine_->add(JointTerm{checked(rows, static_cast<int>(nv), engine_->stack().errors), task,
+                           rows.root, wrapped});
   }
 
   void adapt(const std::string& rule, double threshold, double largest, int rank, double scale,
@@ -297,10 +300,10 @@ class BoundEngine {
     auto term = std::make_unique<Term>(checked(rows, count, engine_->stack().rows), rows.root,
                                        std::forward<Arguments>(arguments)..., engine_->mujoco(),
                                        engine_->stack());
-    if (!rows.look.empty() && rows.look.size() != size && rows.look.size() != size * size) {
+    if (!rows.exact_root.empty() && rows.exact_root.size() != size && rows.exact_root.size() != size * size) {
       throw std::invalid_argument("what counts of the rows has a wrong size");
     }
-    term->bend(rows.way, rows.look);
+    term->bend(rows.way, rows.exact_root);
     engine_->add(std::move(term));
   }
 
@@ -353,7 +356,7 @@ class BoundEngine {
 RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading target,
                        Reading twist, Flags moving,
                        const std::vector<std::tuple<int, int, double>>& clamps,
-                       const std::vector<std::tuple<int, int, bool, double>>& way, Numbers look) {
+                       const std::vector<std::tuple<int, int, bool, double>>& way, Numbers exact_root) {
   require(twist, 6, "twist");
   require(moving, 1, "moving");
   RowsArgument rows{{first, count, gain, target.data(), twist.data(), moving.data(), {}},
@@ -362,7 +365,7 @@ RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading 
                     twist,
                     moving,
                     {},
-                    std::move(look)};
+                    std::move(exact_root)};
   for (const auto& [dof, before, turns, unit] : way) {
     if (before < -1 || before >= static_cast<int>(rows.way.size()) || !(unit > 0.0)) {
       throw std::invalid_argument("a way has a wrong order or a wrong unit");
@@ -434,14 +437,14 @@ void bind_engine(nb::module_& m) {
       .def(nb::new_(&make_rows), "first"_a, "count"_a, "gain"_a, "root"_a, "target"_a.noconvert(),
            "twist"_a.noconvert(), "moving"_a.noconvert(),
            "clamps"_a = std::vector<std::tuple<int, int, double>>(),
-           "way"_a = std::vector<std::tuple<int, int, bool, double>>(), "look"_a = Numbers());
+           "way"_a = std::vector<std::tuple<int, int, bool, double>>(), "exact_root"_a = Numbers());
   nb::class_<FrameArgument>(m, "Frame", "Where the pose of a frame stands, and what moves it.")
       .def(nb::new_(&make_frame), "position"_a.noconvert(), "rotation"_a.noconvert(),
            "reference"_a.noconvert(), "dofs"_a, "carrier"_a.noconvert().none());
   nb::class_<BoundEngine>(m, "Engine", "The whole step, in the arrays that it is given.")
       .def(nb::init<const std::vector<std::uintptr_t>&, nb::object, nb::object, Writing,
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,
-                    std::vector<int>, Numbers, double, double, double, double, bool,
+                    std::vector<int>, Numbers, double, double, double, double, bool, double,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
                                      Numbers, Numbers>&,
                     Writing, Writing, Writing, Writing, Writing, Writing, int>(),
@@ -449,7 +452,7 @@ void bind_engine(nb::module_& m) {
            "cdof"_a.noconvert(), "error"_a.noconvert(), "feedforward"_a.noconvert(),
            "rate"_a.noconvert(), "jacobian"_a.noconvert(), "v_previous"_a.noconvert(),
            "a_previous"_a.noconvert(), "dofs"_a, "hessian"_a, "unit"_a, "share_of_inertia"_a,
-           "floor"_a, "least_curvature"_a, "brakes"_a, "limits"_a, "H"_a.noconvert(), "g"_a.noconvert(),
+           "floor"_a, "least_curvature"_a, "brakes"_a, "soft_ratio"_a, "limits"_a, "H"_a.noconvert(), "g"_a.noconvert(),
            "added_damping"_a.noconvert(), "inertia"_a.noconvert(), "lb"_a.noconvert(),
            "ub"_a.noconvert(), "max_iter"_a)
       .def("add_frame", &BoundEngine::add_frame, "rows"_a, "frame"_a)
@@ -462,7 +465,7 @@ void bind_engine(nb::module_& m) {
       .def("add_loop", &BoundEngine::add_loop, "rows"_a, "pairs"_a.noconvert(),
            "polynomials"_a, "scale"_a, "angular"_a)
       .def("add_foreign", &BoundEngine::add_foreign, "rows"_a)
-      .def("add_joint_task", &BoundEngine::add_joint_task, "rows"_a, "kind"_a)
+      .def("add_joint_task", &BoundEngine::add_joint_task, "rows"_a, "kind"_a, "wrapped"_a)
       .def("adapt", &BoundEngine::adapt, "rule"_a, "threshold"_a, "largest"_a, "rank"_a, "scale"_a,
            "rows"_a)
       .def("evaluate", &evaluate, "q"_a,

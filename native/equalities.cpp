@@ -5,6 +5,8 @@
 #include <utility>
 
 #include "kernels.hpp"
+#include "lie.hpp"
+#include "pointing.hpp"
 
 namespace rmrc {
 
@@ -45,10 +47,12 @@ Equalities::Equalities(const Stack& stack, const double* rate, int nv, std::vect
       reduction_(capacity_, static_cast<int>(dofs_.size()), 1),
       wanted_(longest_of(terms_)) {}
 
-void Equalities::update() {
+void Equalities::update(bool without_bending) {
   const int n = static_cast<int>(dofs_.size());
   int rows = 0;
-  for (const HardTerm& term : terms_) rows = stack_up(term, rows);
+  for (const HardTerm& term : terms_) {
+    if (!(without_bending && term.bends)) rows = stack_up(term, rows);
+  }
   count_ = reduction_.reduce(rows, n, rank_share);
   for (int r = 0; r < count_; ++r) {
     const double* row = reduction_.row(r);
@@ -59,6 +63,16 @@ void Equalities::update() {
   double missed = 0.0;
   for (int r = count_; r < rows; ++r) missed += reduction_.row(r)[n] * reduction_.row(r)[n];
   inconsistent_ = std::sqrt(missed) > disagreement;
+}
+
+// The rows of E are orthogonal.
+void Equalities::least_norm(double* v) const {
+  const int n = static_cast<int>(dofs_.size());
+  std::fill_n(v, n, 0.0);
+  for (int r = 0; r < count_; ++r) {
+    const double* row = arrays_.matrix + r * n;
+    add_scaled(arrays_.right[r] / dot(row, row, n), row, v, n);
+  }
 }
 
 // Write the rows of a task and what it asks for, and return where the next one's begin.
@@ -88,9 +102,10 @@ void Equalities::ask(const HardTerm& term, double* wanted) const {
   const double *rate = rate_ + term.first, *error = stack_.error + term.first;
   std::copy_n(rate, term.rows, wanted);
   if (term.axis.empty()) return;
-  double along = 0.0;
-  for (int i = 0; i < 3; ++i) along += (error[i] + term.axis[i]) * rate[i];
-  for (int i = 0; i < 3; ++i) wanted[i] -= (error[i] + term.axis[i]) * along;
+  double normal[3];
+  Stretch::of_error(term.axis.data(), error).normal(normal);
+  const double along = dot3(normal, rate);
+  for (int i = 0; i < 3; ++i) wanted[i] -= normal[i] * along;
 }
 
 }  // namespace rmrc

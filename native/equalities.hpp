@@ -13,7 +13,8 @@ struct HardTerm {
   int first, rows;                 // where its error and its rows stand
   std::vector<double> directions;  // orthonormal (r, rows)
   bool joint;                      // whether J is the identity
-  std::vector<double> axis;        // a (3,) of a term whose e + a is a unit vector; or none
+  std::vector<double> axis;        // a (3,) of a term that points it; or none
+  bool bends;                      // whether it may be a cost in place of an equality
 };
 
 /// Where the equalities of a step stand, arrays with room for all directions of the hard tasks.
@@ -28,8 +29,11 @@ class Equalities {
   Equalities(const Stack& stack, const double* rate, int nv, std::vector<int> dofs,
              std::vector<char> still, std::vector<HardTerm> terms, const EqualityArrays& arrays);
 
-  /// Find E and f at the present evaluation, for ẋ of all terms.
-  void update();
+  /// Find E and f at the present evaluation, for ẋ of all terms, or of those that do not bend.
+  void update(bool without_bending);
+
+  /// Write the shortest v (n,) with E v = f.
+  void least_norm(double* v) const;
 
   int capacity() const { return capacity_; }
   int count() const { return count_; }

@@ -26,13 +26,15 @@ Levels::Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int
     for (const LevelTasks::JointPart& part : level.joints) {
       own += static_cast<int>(part.root.size()) / nv_;
     }
-    levels_.push_back({own, nullptr, nullptr, nullptr, 0.0, nullptr, along, nullptr, nullptr});
+    levels_.push_back({own, nullptr, nullptr, nullptr, 0.0, nullptr, along, nullptr, nullptr,
+                       !level.hard});
+    directed_.push_back(along);
     rows += own;
     directed += along;
     sizes_.rows = std::max(sizes_.rows, own);
     sizes_.directed = std::max(sizes_.directed, along);
   }
-  levels_.push_back({0, nullptr, nullptr, nullptr, 1.0, nullptr, 0, nullptr, nullptr});
+  levels_.push_back({0, nullptr, nullptr, nullptr, 1.0, nullptr, 0, nullptr, nullptr, true});
   sizes_.levels = static_cast<int>(levels_.size());
   const std::size_t n = dofs_.size();
   matrix_.resize(rows * n);
@@ -40,6 +42,8 @@ Levels::Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int
   jacobian_.resize(directed * n);
   direction_.resize(directed);
   curvature_.resize(tasks_.size() * n);
+  exact_curvature_.resize(curvature_.size());
+  curved_.resize(tasks_.size());
   const auto& constant = metric_.constant;
   const auto counts = [](double value) { return value != 0.0; };
   const bool weighs =
@@ -58,11 +62,19 @@ Levels::Levels(std::vector<LevelTasks> tasks, LastMetric metric, std::vector<int
 
 const std::vector<Level>& Levels::gather(const std::vector<std::unique_ptr<RowTerm>>& terms,
                                          const Stack& stack, const double* rate,
-                                         const double* inertia, double damping) {
+                                         const double* inertia, double damping,
+                                         const Manner& manner) {
   const double least = std::max(damping, least_damping);
   for (std::size_t k = 0; k < tasks_.size(); ++k) {
-    levels_[k].damping = least;
-    gather(tasks_[k], terms, stack, rate, levels_[k]);
+    Level& level = levels_[k];
+    const bool directs = directed_[k] > 0;
+    level.damping = least;
+    level.curvature = curved_[k];
+    level.directed = manner.directed ? directed_[k] : 0;
+    level.asked = manner.softened || !tasks_[k].hard;
+    if (!level.asked) continue;
+    gather(tasks_[k], terms, stack, rate, level);
+    if (tasks_[k].hard || (directs && !manner.directed)) bound_exact(k, terms, rate, manner);
   }
   if (!last_.empty()) {
     write_metric(inertia, least);
@@ -79,14 +91,27 @@ void Levels::curve(const std::vector<std::unique_ptr<RowTerm>>& terms, const dou
     // A level bears the curvature of those above it, too: what it moves costs them the second order.
     double* curvature = curvature_.data() + k * n;
     if (k > 0) std::copy_n(curvature - n, n, curvature);
-    levels_[k].curvature = k > 0 ? levels_[k - 1].curvature : nullptr;
-    if (levels_[k].curvature != nullptr) levels_[k].curvature = curvature;
+    curved_[k] = k > 0 && curved_[k - 1] != nullptr ? curvature : nullptr;
     for (const LevelTasks::Part& part : tasks_[k].parts) {
       if (!terms[part.term]->bends()) continue;
       terms[part.term]->add_curvature(rate, dt, least, curvature);
-      levels_[k].curvature = curvature;
+      curved_[k] = curvature;
     }
   }
+}
+
+// Add X of the tasks that no cost draws to that of their level.
+void Levels::bound_exact(std::size_t k, const std::vector<std::unique_ptr<RowTerm>>& terms,
+                         const double* rate, const Manner& manner) {
+  const std::size_t n = dofs_.size();
+  double* bound = exact_curvature_.data() + k * n;
+  std::fill_n(bound, n, 0.0);
+  if (curved_[k] != nullptr) std::copy_n(curved_[k], n, bound);
+  for (const LevelTasks::Part& part : tasks_[k].parts) {
+    if (!terms[part.term]->exact()) continue;
+    terms[part.term]->add_curvature(rate, manner.dt, manner.least, bound);
+  }
+  levels_[k].curvature = bound;
 }
 
 void Levels::gather(const LevelTasks& tasks, const std::vector<std::unique_ptr<RowTerm>>& terms,
@@ -101,6 +126,10 @@ void Levels::gather(const LevelTasks& tasks, const std::vector<std::unique_ptr<R
     const int first = term.data().first;
     for (int r = 0; r < term.data().rows; ++r, matrix += n) {
       std::fill_n(matrix, n, 0.0);
+      if (tasks.hard) {
+        *wanted++ = term.exact_row(r, rate, matrix);
+        continue;
+      }
       term.copy_row(r, matrix);
       *wanted++ = term.weighed(r, rate + first);
     }

@@ -25,12 +25,20 @@ struct LevelTasks {
 
   std::vector<Part> parts;
   std::vector<JointPart> joints;
+  bool hard = false;  // whether it is of the hard tasks that bend, a level where they are a cost
 };
 
 /// What picks among equal motions: A in the program's unit, and its share of M(q).
 struct LastMetric {
   std::vector<double> constant;  // (n, n)
   double inertia;
+};
+
+/// How the tasks that no cost draws are taken in a step.
+struct Manner {
+  bool directed;  // whether what preserves its direction does; it is a cost like any other if not
+  bool softened;  // whether hard tasks that bend are a level before the others
+  double dt, least;  // what X of theirs takes: the step's length, s, and the least dt K
 };
 
 /// Gathers the levels, the highest first; last comes A, or the least norm.
@@ -46,13 +54,18 @@ class Levels {
   /// Gather them for ẋ of all terms, M(q) (nv, nv), and λ² in the program's unit.
   const std::vector<Level>& gather(const std::vector<std::unique_ptr<RowTerm>>& terms,
                                    const Stack& stack, const double* rate, const double* inertia,
-                                   double damping);
+                                   double damping, const Manner& manner);
+
+  /// The tasks of the levels that `gather` returns, but for the last.
+  const std::vector<LevelTasks>& tasks() const { return tasks_; }
 
   const LevelSizes& sizes() const { return sizes_; }
 
  private:
   void gather(const LevelTasks& tasks, const std::vector<std::unique_ptr<RowTerm>>& terms,
               const Stack& stack, const double* rate, Level& level);
+  void bound_exact(std::size_t k, const std::vector<std::unique_ptr<RowTerm>>& terms,
+                   const double* rate, const Manner& manner);
   void write_metric(const double* inertia, double damping);
 
   std::vector<LevelTasks> tasks_;
@@ -63,6 +76,9 @@ class Levels {
   std::vector<double> matrix_, rate_;         // W and S ẋ of all levels
   std::vector<double> jacobian_, direction_;  // J and ẋ of what keeps its direction
   std::vector<double> curvature_;             // X of all levels
+  std::vector<const double*> curved_;         // where a level's stands, null where it has none
+  std::vector<double> exact_curvature_;       // with that of the tasks that no cost draws
+  std::vector<int> directed_;                 // of each level the rows that preserve directions
   std::vector<double> last_;                  // the metric of the last level (n, n)
   std::vector<Level> levels_;
 };

@@ -5,6 +5,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <memory>
 #include <stdexcept>
 #include <tuple>
@@ -39,7 +40,12 @@ void hold(nb::handle engine, const std::vector<HardArgument>& tasks, const std::
       throw std::invalid_argument("a hard task has a wrong size");
     }
     all += directions.size() / rows;
-    terms.push_back({first, rows, directions, joint, axis});
+    const auto bends = [&](const auto& term) {
+      return term->exact() && term->data().first == first;
+    };
+    const auto& all_rows = native.row_terms();
+    const bool bending = !joint && std::any_of(all_rows.begin(), all_rows.end(), bends);
+    terms.push_back({first, rows, directions, joint, axis, bending});
   }
   require_countable(static_cast<std::int64_t>(all), native.mujoco().nv);
   if (still.size() != n || matrix.size() != all * n || right.size() != all ||

@@ -1,4 +1,4 @@
-// Whether the tasks still get on: rmrc.control.progress.
+// Whether the robot rests without being there: rmrc.control.progress.
 #pragma once
 
 #include <vector>
@@ -16,12 +16,11 @@ struct Watched {
   double tolerance[2];
 };
 
-/// Watches the error ‖e‖_B of the tasks, and beside targets that move the speed at which they come
-/// nearer, eᵀB J v / ‖e‖_B.
+/// Tells whether tasks are not there, and no joint has moved to speak of for a while.
 class Progress {
  public:
-  /// `tolerance` is that of all tasks together, ‖tolerances‖_B; `targets` are all the targets.
-  Progress(std::vector<Watched> watched, double tolerance, const double* targets, int size);
+  /// `tolerance` is that of all tasks together, ‖tolerances‖_B.
+  Progress(std::vector<Watched> watched, double tolerance);
 
   /// Forget what was.
   void reset();
@@ -35,18 +34,13 @@ class Progress {
   bool stuck() const { return stuck_; }
 
  private:
-  void look(const Engine& engine, const double* v, double elapsed);
-  void judge(double slowest);
-  void begin();
+  bool off(const Engine& engine) const;
+  bool stays(const Engine& engine, const double* v) const;
 
   std::vector<Watched> watched_;
   double tolerance_;
-  const double* targets_;
-  std::vector<double> last_;  // the targets at the last look
   bool stuck_ = false;
-  double since_look_ = 0.0, before_ = 0.0;            // before: the least error of the window before
-  double elapsed_ = 0.0, least_ = 0.0, fastest_ = 0.0;  // of the present window
-  bool still_ = true, moving_ = true;                 // whether targets never moved; always did
+  double rested_ = 0.0;  // s
 };
 
 }  // namespace rmrc

@@ -212,31 +212,43 @@ void RowTerm::turn(const double* T) {
   }
 }
 
-void RowTerm::bend(const std::vector<WayJoint>& way, std::vector<double> look) {
-  look_ = std::move(look);
+void RowTerm::bend(const std::vector<WayJoint>& way, std::vector<double> exact_root) {
+  exact_root_ = std::move(exact_root);
   for (const WayJoint& joint : way) {
     const auto at = std::find(dofs_.begin(), dofs_.begin() + inside_, joint.dof);
     if (at == dofs_.begin() + inside_) throw std::invalid_argument("a way leaves the program");
     const int before = joint.before;
     const double hinges = before < 0 ? 0.0 : way_[before].hinges + way_[before].turns;
     way_.push_back({static_cast<int>(at - dofs_.begin()), before, joint.turns, joint.unit, hinges,
-                    0.0});
+                    0.0, {}});
   }
   for (int r = 0; r < std::min(data_.rows, 6); ++r) transform_[7 * r] = 1.0;
 }
 
+double RowTerm::exact_row(int r, const double* rate, double* row) const {
+  const int rows = data_.rows;
+  const bool full = static_cast<int>(exact_root_.size()) > rows;
+  double wanted = 0.0;
+  for (int s = full ? 0 : r; s < (full ? rows : r + 1); ++s) {
+    const double weight = exact_root_[full ? r * rows + s : r];
+    wanted += weight * rate[data_.first + s];
+    const double* own = jacobian_.data() + s * stride_;
+    for (int k = 0; k < inside_; ++k) row[columns_[k]] += weight * own[k];
+  }
+  return wanted;
+}
+
 double RowTerm::drawn(const double* rate, const double* v, double dt, double& curved) {
   const int rows = data_.rows;
-  const bool full = static_cast<int>(look_.size()) > rows;
-  const double* fed = stack_.feedforward + data_.first;
+  const bool full = static_cast<int>(exact_root_.size()) > rows;
   const double gain = std::min(data_.gain, 1.0 / dt);
   double sum = 0.0;
   for (int r = 0; r < rows; ++r) wanted_[r] = rate_of(r, v);
   for (int r = 0; r < rows; ++r) {
     double asked = 0.0, moved = 0.0;
     for (int s = full ? 0 : r; s < (full ? rows : r + 1); ++s) {
-      const double weight = look_[full ? r * rows + s : r];
-      asked += weight * (rate[data_.first + s] - fed[s]);
+      const double weight = exact_root_[full ? r * rows + s : r];
+      asked += weight * rate[data_.first + s];
       moved += weight * wanted_[s];
     }
     sum += asked * moved;
@@ -245,9 +257,51 @@ double RowTerm::drawn(const double* rate, const double* v, double dt, double& cu
   return sum;
 }
 
+// u_j = v_j × f + ½ ω_j × τ of a wrench [f; τ].
+void RowTerm::moment(const WayPoint& point, const double* wrench, double* u) const {
+  double v[3], w[3], turned[3];
+  for (int i = 0; i < 3; ++i) {
+    v[i] = world_[i * stride_ + point.column];
+    w[i] = 0.5 * world_[(3 + i) * stride_ + point.column];
+  }
+  cross(v, wrench, u);
+  cross(w, wrench + 3, turned);
+  for (int i = 0; i < 3; ++i) u[i] += turned[i];
+}
+
+double RowTerm::bent(const double* x, const double* u) {
+  const std::vector<double>& root = counts_ ? root_ : exact_root_;
+  const int rows = data_.rows;
+  const bool full = static_cast<int>(root.size()) > rows;
+  double wrench[6] = {}, along[3] = {}, total = 0.0;
+  for (int r = 0; r < rows; ++r) {
+    for (int s = full ? 0 : r; s < (full ? rows : r + 1); ++s) {
+      const double pulled = root[full ? r * rows + s : r] * x[r];
+      for (int i = 0; i < 6; ++i) wrench[i] += pulled * transform_[6 * s + i];
+    }
+  }
+  for (WayPoint& point : way_) {
+    const double rate = u[columns_[point.column]];
+    double turning[3], own_moment[3];
+    moment(point, wrench, own_moment);
+    for (int i = 0; i < 3; ++i) {
+      const double ahead = point.before < 0 ? 0.0 : way_[point.before].turned[i];
+      const double own = point.turns ? world_[(3 + i) * stride_ + point.column] * rate : 0.0;
+      turning[i] = 2.0 * ahead + own;
+      point.turned[i] = ahead + own;
+      along[i] += world_[i * stride_ + point.column] * rate;
+    }
+    total -= rate * dot3(own_moment, turning);
+  }
+  if (distance_ < std::numeric_limits<double>::infinity()) {
+    total += std::sqrt(dot3(wrench, wrench)) / distance_ * dot3(along, along);
+  }
+  return total;
+}
+
 void RowTerm::add_curvature(const double* rate, double dt, double least, double* X) {
-  if (way_.empty() || !(counts_ || looked())) return;
-  const std::vector<double>& root = looked() ? look_ : root_;
+  if (way_.empty() || !(counts_ || exact())) return;
+  const std::vector<double>& root = exact() ? exact_root_ : root_;
   const double time = std::max(dt, least * std::max(1.0 / data_.gain, dt));  // ẋ is K e
   const int rows = data_.rows;
   const bool full = static_cast<int>(root.size()) > rows;
@@ -262,26 +316,19 @@ void RowTerm::add_curvature(const double* rate, double dt, double least, double*
       for (int i = 0; i < 6; ++i) wrench[i] += pulled * transform_[6 * s + i];
     }
   }
-  const double *force = wrench, *torque = wrench + 3, *world = world_.data();
   for (WayPoint& point : way_) point.after = 0.0;
   for (int k = static_cast<int>(way_.size()) - 1; k >= 0; --k) {
     WayPoint& point = way_[k];
-    double v[3], w[3], u[3], turned[3];
-    for (int i = 0; i < 3; ++i) {
-      v[i] = world[i * stride_ + point.column];
-      w[i] = 0.5 * world[(3 + i) * stride_ + point.column];
-    }
-    cross(v, force, u);
-    cross(w, torque, turned);
-    for (int i = 0; i < 3; ++i) u[i] += turned[i];
-    const double moment = std::sqrt(dot3(u, u));
-    point.after += moment * point.unit;
+    double u[3];
+    moment(point, wrench, u);
+    const double length = std::sqrt(dot3(u, u));
+    point.after += length * point.unit;
     double& sum = X[columns_[point.column]];
-    sum += point.hinges * moment / point.unit;
+    sum += point.hinges * length / point.unit;
     if (point.turns) sum += point.after;
     if (point.before >= 0) way_[point.before].after += point.after;
   }
-  if (distance_ < std::numeric_limits<double>::infinity()) add_turning(force, X);
+  if (distance_ < std::numeric_limits<double>::infinity()) add_turning(wrench, X);
 }
 
 // ‖v_i‖ ‖v_j‖ ‖f‖/n of a force that turns about a point n away as the frame moves.

@@ -19,10 +19,10 @@ BoundStepper::BoundStepper(nb::object engine, nb::object owner, Writing q, Writi
                            Writing v_previous, double dt, std::vector<int> quaternions,
                            const std::vector<bool>& frozen, double budget,
                            const std::vector<Reading>& kept, Flags moving,
-                           const WatchedTasks& watched, Reading targets, double tolerance)
+                           const WatchedTasks& watched, double tolerance)
     : engine_(std::move(engine)),
       owner_(std::move(owner)),
-      kept_{nb::cast(q), nb::cast(v), nb::cast(v_previous), nb::cast(moving), nb::cast(targets)},
+      kept_{nb::cast(q), nb::cast(v), nb::cast(v_previous), nb::cast(moving)},
       dt_(dt) {
   Engine& native = engine_of(engine_);
   const auto nq = static_cast<std::size_t>(native.mujoco().nq);
@@ -50,7 +50,7 @@ BoundStepper::BoundStepper(nb::object engine, nb::object owner, Writing q, Writi
   }
   stepper_ = std::make_unique<Stepper>(
       native,
-      Progress(std::move(tasks), tolerance, targets.data(), static_cast<int>(targets.size())),
+      Progress(std::move(tasks), tolerance),
       ControllerState{q.data(), v.data(), v_previous.data()}, std::move(quaternions),
       std::vector<char>(frozen.begin(), frozen.end()), budget, std::move(arrays),
       KeptFlags{moving.data(), static_cast<int>(moving.size())});
@@ -107,10 +107,10 @@ void bind_stepper(nb::module_& m) {
       .def(nb::init<nb::object, nb::object, BoundStepper::Writing, BoundStepper::Writing,
                     BoundStepper::Writing, double, std::vector<int>, const std::vector<bool>&,
                     double, const std::vector<BoundStepper::Reading>&, BoundStepper::Flags,
-                    const BoundStepper::WatchedTasks&, BoundStepper::Reading, double>(),
+                    const BoundStepper::WatchedTasks&, double>(),
            nb::kw_only(), "engine"_a, "owner"_a, "q"_a.noconvert(), "v"_a.noconvert(),
            "v_previous"_a.noconvert(), "dt"_a, "quaternions"_a, "frozen"_a, "budget"_a,
-           "kept"_a.noconvert(), "moving"_a.noconvert(), "watched"_a, "targets"_a.noconvert(),
+           "kept"_a.noconvert(), "moving"_a.noconvert(), "watched"_a,
            "tolerance"_a)
       .def("add_target", &BoundStepper::add_target, "name"_a, "pose"_a, "target"_a.noconvert(),
            "twist"_a.noconvert(), "feedforward"_a.noconvert(), "moving"_a.noconvert(), "Have a target set by this name.")

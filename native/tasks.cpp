@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <numeric>
 #include <utility>
 
 #include "kernels.hpp"
 #include "lie.hpp"
+#include "pointing.hpp"
 
 namespace rmrc {
 
@@ -14,6 +16,7 @@ namespace {
 
 constexpr double least_length = 1e-10;  // a target nearer than this, m, has no direction
 constexpr double least_angle = 1e-9;    // rad
+constexpr double full_turn = 2.0 * std::numbers::pi;
 
 // T ← [A 0; 0 D] in a matrix (6, 6).
 void set_blocks(double* T, const double* A, const double* B, const double* D) {
@@ -207,7 +210,7 @@ Axis::Axis(TermData data, std::vector<double> root, Frame frame, const double* a
 }
 
 void Axis::measure(double* measures) const {
-  measures[0] = measures[1] = 2.0 * std::asin(std::min(0.5 * norm3(error()), 1.0));
+  measures[0] = measures[1] = pointing_angle(norm3(error()));
 }
 
 void Axis::differentiate() {
@@ -218,6 +221,12 @@ void Axis::differentiate() {
     align(T, direction);
   }
   for (int i = 0; i < 3; ++i) error()[i] = direction[i] - axis_[i];
+  const Stretch stretch(axis_, error());
+  if (!stretch.trivial()) {
+    for (int i = 0; i < 3; ++i) error()[i] *= stretch.factor();
+    stretch.apply(T, 6);
+    if (moves()) stretch.apply(feedforward(), 1);
+  }
   move(frame_);
   turn(T);
 }
@@ -341,6 +350,9 @@ void JointTerm::evaluate(const MuJoCo& mujoco, const Stack& stack) const {
   switch (task) {
     case JointTask::posture:
       mujoco.call.differentiate_pos(mujoco.model, error, 1.0, mujoco.qpos, data.target);
+      for (const int dof : wrapped) {
+        error[dof] -= full_turn * std::ceil((error[dof] - std::numbers::pi) / full_turn);
+      }
       break;
     case JointTask::velocity:
       for (int i = 0; i < mujoco.nv; ++i) error[i] = data.target[i] - stack.v_previous[i];

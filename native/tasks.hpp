@@ -86,13 +86,19 @@ class RowTerm {
 
   /// Tell which dofs of the program the error bends with, in their order; of a term that no cost
   /// draws, with a root of what of its rows counts.
-  void bend(const std::vector<WayJoint>& way, std::vector<double> look);
+  void bend(const std::vector<WayJoint>& way, std::vector<double> exact_root);
 
-  /// Whether no cost draws the term.
-  bool looked() const { return !look_.empty(); }
+  /// Whether no cost draws the term: J v = ẋ, or along ẋ.
+  bool exact() const { return !exact_root_.empty(); }
 
-  /// Return Σ (B x)ᵀ(J v) and add Σ K dt (J v)ᵀB(J v) to `curved`, for v of the program.
+  /// Return Σ (B ẋ)ᵀ(J v) and add Σ K dt (J v)ᵀB(J v) to `curved`, for v of the program.
   double drawn(const double* rate, const double* v, double dt, double& curved);
+
+  /// Write row r of S J (n,), S the root of what of its rows counts; return element r of S ẋ.
+  double exact_row(int r, const double* rate, double* row) const;
+
+  /// Return uᵀCu for a motion u of the program, at x (rows,) of S x: rmrc.qp.curvature.
+  double bent(const double* x, const double* u);
 
   /// X ← X + max(dt K, least) times the row sums of |C| (n,), at ẋ: rmrc.qp.curvature.
   void add_curvature(const double* rate, double dt, double least, double* X);
@@ -107,7 +113,13 @@ class RowTerm {
   bool counts() const { return counts_; }
 
   /// Whether X has a part of the term's.
-  bool bends() const { return !way_.empty() && counts_ && !looked(); }
+  bool bends() const { return !way_.empty() && counts_ && !exact(); }
+
+  /// Whether the term bends and is hard: it has no weight in the cost.
+  bool is_hard() const { return exact() && !counts_; }
+
+  /// Whether the term has a way.
+  bool has_way() const { return !way_.empty(); }
 
   const TermData& data() const { return data_; }
   const std::vector<double>& root() const { return root_; }
@@ -149,7 +161,9 @@ class RowTerm {
   double carried_by_[6] = {};      // velocity of what mocap bodies carry of it, as J_w
 
  private:
+  struct WayPoint;
   void add_turning(const double* force, double* X);
+  void moment(const WayPoint& point, const double* wrench, double* u) const;
 
   template <int rows>
   void add_rows(double* H, double* g, int n, int first) const;
@@ -168,9 +182,10 @@ class RowTerm {
     double unit;    // 1, or the length that a slide's rate is measured in
     double hinges;  // before it
     double after;   // Σ ‖u_j‖ at and after it
+    double turned[3];  // how fast the dofs up to it turn the frame
   };
   std::vector<WayPoint> way_;
-  std::vector<double> look_;
+  std::vector<double> exact_root_;
 };
 
 /// e = log(T_bt) and J = Jl⁻¹(e) J_b: a `frame` task along the body's axes.
@@ -209,8 +224,8 @@ class RelativeFrame final : public RowTerm {
   Frame frame_, base_;
 };
 
-/// e = d − a for an axis a of a frame and the direction d of its target: `look_at`, whose target
-/// is a point, and `axis_align`, whose target is a direction.
+/// e = s (d − a) for an axis a of a frame and the direction d of its target, with the stretch s of
+/// `Stretch`: `look_at`, whose target is a point, and `axis_align`, whose target is a direction.
 class Axis final : public RowTerm {
  public:
   Axis(TermData data, std::vector<double> root, Frame frame, const double* axis, bool at_point,
@@ -287,6 +302,7 @@ struct JointTerm {
   TermData data;
   JointTask task;
   std::vector<double> weight;  // B: (nv,) a diagonal or (nv, nv)
+  std::vector<int> wrapped;    // dofs of a posture that take the short way round
 
   /// Write e and ẋ_ff.
   void evaluate(const MuJoCo& mujoco, const Stack& stack) const;

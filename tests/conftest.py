@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,3 +24,13 @@ def menagerie() -> Path:
     if not MENAGERIE.is_dir():
         pytest.skip("needs the Menagerie's robots: set MENAGERIE_ROOT to a checkout")
     return MENAGERIE
+
+
+@pytest.fixture(params=["python", "native"])
+def engine(request: pytest.FixtureRequest) -> Any:
+    """The name of each engine; the native one's tests are skipped where it is not built."""
+    if request.param == "native":
+        pytest.importorskip(
+            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
+        )
+    return request.param

@@ -1,11 +1,13 @@
 """The extension and its C++ tests under the sanitizers, built once and kept from run to run."""
 
+import contextlib
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -23,7 +25,8 @@ SANITIZERS = "-fsanitize=address,undefined"
 def cpp() -> str:
     """Return the path of a compiler that has the sanitizers; the test is skipped without one."""
     BUILD.mkdir(parents=True, exist_ok=True)
-    found = compiler(BUILD, SANITIZERS)
+    with alone():
+        found = compiler(BUILD, SANITIZERS)
     if found is None:
         pytest.skip("needs a C++20 compiler with sanitizers")
     return found
@@ -54,10 +57,22 @@ def build(*targets: str) -> Path:
             f"-Dnanobind_DIR={nanobind.cmake_dir()}",
             f"-DPython_EXECUTABLE={sys.executable}",
         ]
-    done([tool("cmake"), "-S", REPOSITORY / "native", "-B", BUILD, *options])
-    jobs = str(os.cpu_count())
-    done([tool("cmake"), "--build", BUILD, "--parallel", jobs, "--target", *targets])
+    cpp()  # which waits for itself
+    with alone():
+        done([tool("cmake"), "-S", REPOSITORY / "native", "-B", BUILD, *options])
+        jobs = str(os.cpu_count())
+        done([tool("cmake"), "--build", BUILD, "--parallel", jobs, "--target", *targets])
     return BUILD
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Wait until no other process builds: tests may run in several."""
+    import fcntl  # not on Windows, which has no sanitizers of this kind
+
+    with (BUILD / "lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def extension() -> Path:

@@ -148,7 +148,7 @@ struct Fixture {
     std::vector<rmrc::TaskedRow> tasked;
     for (int r = 0; r < 6; ++r) tasked.push_back({0, r});
     engine->adapt({adapt, 0.3, 0.1, 3, 1.0}, tasked);
-    rmrc::Progress progress({{0, std::vector<double>(6, 1.0), {1e-3, 1e-2}}}, 1e-2, pose, 7);
+    rmrc::Progress progress({{0, std::vector<double>(6, 1.0), {1e-3, 1e-2}}}, 1e-2);
     stepper = std::make_unique<rmrc::Stepper>(
         *engine, std::move(progress), rmrc::ControllerState{q, v, v_previous}, std::vector<int>{},
         std::vector<char>(joints), infinity,
@@ -198,9 +198,9 @@ struct Fixture {
     for (int i = 0; i < 10 * joints; ++i) jacobian[first * joints + i] = 0.01 * (i % 7);
     engine->add(std::make_unique<rmrc::ForeignRows>(next(point), ones(10), mujoco, stack));
     engine->add(rmrc::JointTerm{data(first, joints, posture), rmrc::JointTask::posture,
-                                std::vector<double>(joints, 0.01)});
+                                std::vector<double>(joints, 0.01), {}});
     engine->add(rmrc::JointTerm{data(first + joints, joints, posture), rmrc::JointTask::smooth,
-                                std::vector<double>(joints, 0.01)});
+                                std::vector<double>(joints, 0.01), {}});
   }
 
  private:

@@ -48,7 +48,7 @@ class TermRows:
         moving: NDArray[np.uint8],
         clamps: list[tuple[int, int, float]] = ...,
         way: list[tuple[int, int, bool, float]] = ...,
-        look: list[float] = ...,
+        exact_root: list[float] = ...,
     ) -> None: ...
 
 class Frame:
@@ -90,6 +90,7 @@ class Engine:
         floor: float,
         least_curvature: float,
         brakes: bool,
+        soft_ratio: float,
         limits: tuple[
             list[int],
             list[float],
@@ -130,7 +131,7 @@ class Engine:
         angular: list[bool],
     ) -> None: ...
     def add_foreign(self, rows: TermRows) -> None: ...
-    def add_joint_task(self, rows: TermRows, kind: str) -> None: ...
+    def add_joint_task(self, rows: TermRows, kind: str, wrapped: list[int]) -> None: ...
     def adapt(
         self,
         rule: str,
@@ -301,7 +302,6 @@ class Stepper:
         kept: list[Array],
         moving: NDArray[np.uint8],
         watched: list[tuple[int, list[float], float, float]],
-        targets: Array,
         tolerance: float,
     ) -> None: ...
     def add_target(

@@ -177,6 +177,10 @@ def compare(
             metavar="A,B,…", help="The ways of following; by default the configuration's."
         ),
     ] = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH=A,B,…", help="Values, as in damping.curvature=on,off."),
+    ] = None,
     settings: Settings = None,
     out: Annotated[
         Path | None,
@@ -186,21 +190,26 @@ def compare(
 ) -> None:
     """Run a configuration by several methods: a table, and a page with all their curves."""
     import rmrc
+    from rmrc.config.load import parse_sweep, swept
     from rmrc.record.compare import COMPARISON_FOLDER
 
     if out is not None:
         COMPARISON_FOLDER.ensure_free(out)
-    loaded = rmrc.load(config, overrides=_overrides(settings))
-    with _progress(loaded.name) as progress:
+    overrides = _overrides(settings)
+    configs = {
+        name: rmrc.load(config, overrides=overrides | values)
+        for name, values in swept(map(parse_sweep, sweep or [])).items()
+    }
+    with _progress(config.stem) as progress:
         comparison = rmrc.compare(
-            loaded, _names(methods), _names(backends), _names(follow), progress
+            configs, _names(methods), _names(backends), _names(follow), progress
         )
     folder = comparison.save(out) if out else comparison.save_numbered("comparisons")
     if as_json:
         numbers = {"comparison": str(folder), **comparison.summary}
         print(json.dumps(numbers, ensure_ascii=False, allow_nan=False))
     else:
-        _print_comparison(loaded.name, comparison.summary, folder)
+        _print_comparison(comparison.config.name, comparison.summary, folder)
     raise typer.Exit(0 if comparison.finished else NOT_CONVERGED)
 
 

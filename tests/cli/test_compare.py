@@ -18,6 +18,10 @@ CONFIGS = REPOSITORY / "configs"
 BLOWN_UP = 10.0
 # The backends solve the same programs to 1e-6 of their gradient; a run of them drifts no further.
 SAME_RUN = 1e-3
+# Rates of a robot at rest, rad/s, and a run in which it has come to rest for a second, s.
+AT_REST, LONG_ENOUGH = 1e-3, 2.0
+# Half the steps that the files ask for, of twice the length.
+COARSE = ("--set", "dt=0.004")
 # How far off the line a hand is that stays on it, and one that is led through the joints, m.
 ON_THE_LINE, OFF_THE_LINE = 1e-4, 1e-2
 
@@ -40,12 +44,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def singular(folder: Path) -> dict[str, Any]:
-    return compared("compare_singular", folder, "--methods", "qp, dls,pinv,inverse,weighted")
+    methods = "qp, dls,pinv,inverse,weighted"
+    return compared("compare_singular", folder, "--methods", methods, *COARSE)
 
 
 @pytest.fixture(scope="module")
 def limits(folder: Path) -> dict[str, Any]:
-    return compared("compare_limits", folder, "--methods", "qp,pinv,saturated")
+    return compared("compare_limits", folder, "--methods", "qp,pinv,saturated", *COARSE)
 
 
 def test_the_json_has_a_row_for_each_run_and_a_reason_for_the_others(
@@ -59,7 +64,7 @@ def test_the_json_has_a_row_for_each_run_and_a_reason_for_the_others(
     assert "metric" in singular["left_out"][0]["reason"]
     for run in singular["runs"]:
         assert run["finished"]
-        assert run["steps"] == run["solves"] == sum(run["status"].values()) == 3001
+        assert run["steps"] == run["solves"] == sum(run["status"].values()) == 1501
         assert (run["backend"] is None) == (run["method"] != "qp")
         assert run["follow"] == "rate"
         assert 0.0 < run["error"]["rms"] < run["error"]["max"]
@@ -170,6 +175,50 @@ def least_distance(q: NDArray[np.float64]) -> float:
     return least
 
 
+def test_out_of_reach_mink_flips_for_ever_and_rmrc_rests(folder: Path) -> None:
+    from rmrc import compare, load
+
+    path = CONFIGS / "unreachable.yaml"
+    configs = {
+        f"curvature={switch}": load(
+            path, overrides={"damping.curvature": switch, "duration": LONG_ENOUGH}
+        )
+        for switch in ("on", "off")
+    }
+    comparison = compare(configs, ["qp", "mink"], ["daqp"])
+    entries = {entry.name: entry for entry in comparison.entries}
+    assert list(entries) == ["qp curvature=on", "qp curvature=off", "mink"]
+    last = {
+        name: np.abs(entry.run.v[entry.run.time > LONG_ENOUGH - 1.0]).max()
+        for name, entry in entries.items()
+    }
+    assert last["qp curvature=on"] < AT_REST
+    for name in ("qp curvature=off", "mink"):
+        assert last[name] == pytest.approx(2.0, abs=1e-3)
+        joint4 = entries[name].run.v[-100:, 3]
+        assert (joint4[1:] * joint4[:-1] < 0.0).all()
+    mink = entries["mink"].row()
+    assert mink["keeps_limits"]
+    assert mink["backend"] == "daqp"
+    assert mink["ignored_limits"] == mink["ignored_tasks"] == []
+    assert mink["limits"]["velocity"]["max_violation"] == 0.0
+    assert 0.04 < mink["error"]["final"] < 0.06
+
+
+def test_values_that_a_method_does_not_read_are_not_run_for_again(folder: Path) -> None:
+    arguments = ("--backends", "daqp", "--methods", "qp,dls,pinv,mink", "--set", "duration=0.02")
+    sweeps = ("--sweep", "damping.curvature=on,off", "--sweep", "damping.lambda=0.01,0.1")
+    numbers = compared("compare_limits", folder, *arguments, *sweeps)
+    values = [f"curvature={a} lambda={b}" for a in ("on", "off") for b in ("0.01", "0.1")]
+    assert list(by_name(numbers)) == [
+        *(f"qp {value}" for value in values),
+        *(f"dls {value}" for value in values),
+        "pinv",
+        "mink curvature=on lambda=0.01",
+        "mink curvature=on lambda=0.1",
+    ]
+
+
 def test_by_default_every_method_runs_or_says_why_not(tmp_path: Path) -> None:
     done = rmrc(
         "compare", CONFIGS / "panda_line.yaml", "--set", "duration=0.02", "--out", "c", cwd=tmp_path
@@ -178,7 +227,7 @@ def test_by_default_every_method_runs_or_says_why_not(tmp_path: Path) -> None:
     words = done.stdout.split()
     for method in ("daqp", "proxqp", "osqp", "transpose", "pinv", "dls", "sdls"):
         assert method in words
-    for method in ("nullspace", "saturated", "descent"):
+    for method in ("nullspace", "saturated", "descent", "mink"):
         assert method in words
     assert "inverse is left out" in done.stdout
     assert "weighted is left out" in done.stdout
@@ -200,6 +249,21 @@ def test_by_default_every_method_runs_or_says_why_not(tmp_path: Path) -> None:
         (("--methods", "inverse,weighted"), "needs as many task rows as dofs"),
         (("--methods", "inverse,weighted"), "needs a metric"),
         (("--set", "duration=never"), "a number is wanted here"),
+        (("--sweep", "duration=1,never"), "a number is wanted here"),
+        (("--sweep", "duration"), "write it as in --sweep"),
+        (("--sweep", "duration="), "write it as in --sweep"),
+        (("--sweep", "dt=0.2,0.1", "--methods", "pinv"), "has not the dt"),
+        (
+            (
+                "--methods",
+                "mink",
+                "--set",
+                "tasks=[{name: a, type: smooth}]",
+                "--set",
+                "targets={}",
+            ),
+            "mink has no place for any of the tasks",
+        ),
         (("--set", "targets.hand={path: file, file: absent.csv}"), "there is no such file"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Every shipped configuration runs, converges, keeps its limits, and leaves a run folder."""
+"""Every shipped configuration runs, converges if it can, keeps its limits, and leaves a folder."""
 
 import json
 from pathlib import Path
@@ -31,14 +31,18 @@ SHIPPED = {
     "compare_redundant",
     "compare_limits",
     "compare_line",
+    "unreachable",
 }
 # Their targets leave what the robot can reach, for a while.
 BY_DESIGN = {
     "compare_limits": {"STUCK"},
     "compare_singular": {"STUCK"},
     "dual_arm_collision": {"STUCK"},
-    "panda_obstacle": {"STUCK"},
+    "panda_obstacle": {"STUCK", "RELAXED"},  # the ball is faster than the arm can give way
+    "unreachable": {"STUCK"},
 }
+# Their targets stay out of reach: the run ends at rest, and not converged.
+NEVER_THERE = {"unreachable"}
 
 
 def test_every_promised_config_is_there() -> None:
@@ -55,10 +59,11 @@ def config_path(request: pytest.FixtureRequest) -> Path:
 def test_it_solves_on_the_command_line(config_path: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     done = command("solve", config_path, "--out", out, "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    there = config_path.stem not in NEVER_THERE
+    assert done.returncode == (0 if there else 1), done.stdout + done.stderr
     assert done.stderr == ""
     summary = json.loads(done.stdout)
-    assert summary["converged"]
+    assert summary["converged"] == there
     assert all(limit["max_violation"] == 0 for limit in summary["limits"].values())
     assert {path.name for path in out.iterdir()} == {"run.json", "trajectory.npz", "report.html"}
     run = rmrc.Run.load(out)
@@ -91,7 +96,9 @@ def test_a_run_saved_loaded_and_saved_again_is_identical(tmp_path: Path) -> None
 def test_the_path_is_the_same_at_every_dt(name: str) -> None:
     path = REPOSITORY / "configs" / f"{name}.yaml"
     runs = {
-        dt: rmrc.solve(rmrc.load(path, overrides={"dt": dt, "duration": 3.0}))
+        dt: rmrc.solve(
+            rmrc.load(path, overrides={"dt": dt, "duration": 3.0, "damping.curvature": False})
+        )
         for dt in (0.001, 0.002, 0.005, 0.01)
     }
     fine = runs[0.001]
@@ -99,7 +106,8 @@ def test_the_path_is_the_same_at_every_dt(name: str) -> None:
     for dt, run in runs.items():
         stride = round(dt / 0.001)
         apart[dt] = float(np.abs(run.q - fine.q[::stride]).max())
-    # Euler's method: the paths come together in proportion to dt; 1.5 allows for second order.
+    # Euler's method, without X, which has dt in it: the paths come together in proportion to dt;
+    # 1.5 allows for second order.
     for small, large in ((0.002, 0.005), (0.005, 0.01)):
         assert apart[small] <= 1.5 * apart[large] * (small - 0.001) / (large - 0.001)
     assert apart[0.002] < 0.01

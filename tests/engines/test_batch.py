@@ -21,7 +21,7 @@ POSTURE: dict[str, Any] = {"name": "posture", "type": "posture", "level": 1}
 TIMED: dict[str, Any] = {"timeout": {"target": 0.1}}
 INVALID = 1 << Status.INVALID_INPUT
 STEPS = 90
-"""At 10 ms enough for three windows of what tells STUCK."""
+"""Of 10 ms, with new targets every 30."""
 
 native = pytest.mark.skipif(
     bool(BatchController(rmrc.compile(config(PANDA, [HAND])), 1).notices),
@@ -148,7 +148,7 @@ def test_elements_are_stuck_on_their_own_and_start_anew() -> None:
     batch = BatchController(problem, 12, threads=2)
     controllers = [Controller(problem) for _ in range(12)]
     for _ in range(2):
-        assert Status.STUCK in assert_alike(batch, controllers, 250, calm=True)
+        assert Status.STUCK in assert_alike(batch, controllers, 450, calm=True)
         batch.reset()
         for controller in controllers:
             controller.reset()
@@ -280,7 +280,7 @@ def test_targets_out_of_reach_for_some() -> None:
     targets[:, 0] += 0.05
     targets[::4, :3] = [0.0, 5.0, 0.0]
     batch.set_targets("hand", targets)
-    for _ in range(500):
+    for _ in range(3000):
         batch.step()
     step = batch.step()
     far = np.arange(20) % 4 == 0

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
-from time import perf_counter
+from time import thread_time
 
 import daqp
 import numpy as np
@@ -160,9 +160,9 @@ def test_a_long_solve_is_cut_off(backend: Backend, budget: float) -> None:
             backend.allow(None)
             backend.setup(qp)
             backend.allow(seconds)
-            begun = perf_counter()
+            begun = thread_time()
             solution = backend.solve()
-            took.append(perf_counter() - begun)
+            took.append(thread_time() - begun)
             assert solution.status is status
         return min(took)
 
@@ -179,9 +179,9 @@ def test_what_was_cut_off_is_taken_up_again(name: str) -> None:
     exact = solved(backend, qp)
     for _ in range(3):
         backend.setup(qp)
-        begun = perf_counter()
+        begun = thread_time()
         backend.solve()
-        spent.append(perf_counter() - begun)
+        spent.append(thread_time() - begun)
     backend = create(name)
     backend.setup(qp)
     solutions = []

@@ -17,7 +17,7 @@ pytest.importorskip(
 )
 from twins import assert_equal, twins
 
-STEPS, MANY_STEPS = 300, 2000
+STEPS, MANY_STEPS = 200, 2000
 START = [0.3, -0.4, 0.5, -1.8, 0.4, 1.7, 0.6]
 """Of the Panda, away from singularities: at its home v can be worth less than SAME."""
 

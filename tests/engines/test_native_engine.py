@@ -21,7 +21,7 @@ else:
         "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
     ).NativeEngine
 
-STEPS = 300
+STEPS = 200
 
 PANDA = str(REPOSITORY / "scenes" / "panda.xml")
 BIPED = str(REPOSITORY / "scenes" / "biped.xml")
@@ -137,11 +137,11 @@ def test_real_robots(robot: str, menagerie: Path) -> None:
 
 
 def test_a_controller_takes_the_same_steps_and_tells_the_same_of_them() -> None:
-    tasks = [HAND, {"name": "posture", "type": "posture", "level": 1}]
+    tasks = [HAND, {"name": "posture", "type": "posture", "level": 1, "gain": 10.0}]
     problem = rmrc.compile(config(PANDA, tasks, limits=ROUGH, dt=0.01))
     ours = [rmrc.Controller(problem, engine=engine) for engine in ("native", "python")]
     rng, flags = np.random.default_rng(0), frozenset[rmrc.Status]()
-    for k in range(900):
+    for k in range(2600):
         far, moving = (0.1 if k < 200 else 3.0), k < 200
         if k % 200 == 0 and k < 500:
             place = problem.term["hand"].target[4:] + rng.uniform(-far, far, 3)

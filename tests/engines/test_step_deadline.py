@@ -4,6 +4,7 @@ import gc
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -92,17 +93,26 @@ def test_no_step_of_a_chain_is_late(tmp_path: Path) -> None:
 
 
 def test_the_python_engine_gives_its_rungs_no_more_time_than_there_is(tmp_path: Path) -> None:
-    """It cannot be on time, but does not go on to a rung when the time is over."""
-    made = problem("chain", tmp_path, 1e6 * DEADLINE)
-    places, took = list(walk(made, 2)), {}
-    for name, deadline in (("late", DEADLINE), ("free", np.inf)):
+    """It cannot be on time, but does not go on to a rung when the time is over.
+
+    With the curvature the hard tasks that cannot hold are a cost, and no rung is needed.
+    """
+    made = replace(problem("chain", tmp_path, 1e6 * DEADLINE), curvature=False)
+    places, rest = list(walk(made, 2)), np.zeros(made.model.nv)
+    took = {name: np.full(len(places), np.inf) for name in ("prepared", "late", "free")}
+    for _, (name, least) in product(range(PASSES), took.items()):
+        deadline = np.inf if name == "free" else DEADLINE
         controller = Controller(replace(made, deadline=deadline), "python")
-        begin = time.thread_time()
-        for place in places:
-            step = controller.step(place.q)
-            assert (Status.DEADLINE in step.flags) == (name == "late")
-        took[name] = time.thread_time() - begin
-    assert took["late"] < 0.5 * took["free"]
+        for k, place in enumerate(places):
+            begin = time.thread_time()
+            if name == "prepared":
+                controller.engine.prepare(place.q, rest, made.dt)
+            else:
+                step = controller.step(place.q)
+                assert (Status.DEADLINE in step.flags) == (name == "late")
+            least[k] = min(least[k], time.thread_time() - begin)
+    prepared, late, free = (least.sum() for least in took.values())
+    assert late - prepared < 0.5 * (free - prepared)
 
 
 # What a step ends with whose time is over.

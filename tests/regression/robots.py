@@ -66,8 +66,9 @@ class Robot:
         return {"name": "hand", "type": "frame", "frame": frame, "B": full, **others}
 
     def controller(self, *tasks: dict[str, Any], **others: Any) -> rmrc.Controller:
-        """Return a controller without limits and without damping, unless the options say so."""
-        options = {"limits": OFF, "damping": {"lambda": 0.0}, **others}
+        """Return a controller without limits, damping and curvature, unless the options say so."""
+        damping = {"lambda": 0.0, "curvature": "off", **others.pop("damping", {})}
+        options = {"limits": OFF, "damping": damping, **others}
         return rmrc.Controller(rmrc.compile(config(self.scene, list(tasks), **options)))
 
     def asking(self, *rows: int) -> "Robot":

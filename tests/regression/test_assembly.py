@@ -37,7 +37,7 @@ def test_the_program_is_the_designs_term_by_term() -> None:
         tasks,
         dofs=dofs,
         soft_ratio=ratio,
-        damping={"lambda": damping},
+        damping={"lambda": damping, "curvature": "off"},
         metric="inertia",
         limits={"velocity": "off", "position": "off"},
     )

@@ -79,7 +79,8 @@ def test_soft_levels_converge_to_strict_ones_at_the_rate_of_the_weight() -> None
     off = {"position": "off", "velocity": "off"}
 
     def step(**others) -> np.ndarray:
-        made = config(scene, [hand, second], damping={"lambda": 0.0}, limits=off, **others)
+        damping = {"lambda": 0.0, "curvature": "off"}
+        made = config(scene, [hand, second], damping=damping, limits=off, **others)
         controller = rmrc.Controller(rmrc.compile(made))
         target = controller.problem.term["hand"].target
         controller.set_target("hand", target[4:] + [0.1, -0.1, 0.0])

@@ -39,15 +39,6 @@ LONG, SHORT = 1500.0, 0.015
 OFFSETS = (0.0, 0.1, 2e-4)
 
 
-@pytest.fixture(params=["python", "native"])
-def engine(request: pytest.FixtureRequest) -> Any:
-    if request.param == "native":
-        pytest.importorskip(
-            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
-        )
-    return request.param
-
-
 def test_rows_of_all_lengths_give_way_by_the_least(tmp_path: Path, engine: Any) -> None:
     """‖E v − f‖ is that of scipy's bounded least squares where two of three rows contradict."""
     (tmp_path / "scene.xml").write_text(HINGES)

@@ -1,4 +1,4 @@
-"""`STUCK` comes from progress, `failures` counts in a row, and the flags hold all that happened."""
+"""`STUCK` is of a robot at rest, `failures` counts in a row, and the flags hold all there is."""
 
 from typing import Any
 
@@ -15,6 +15,10 @@ Array = NDArray[np.float64]
 SLOW = 0.01
 """Length of a step in s, for there are many."""
 FREE = {**LIMITS, "acceleration": "off"}
+
+
+REST = 1e-3
+"""Largest joint rate of a robot at rest, rad/s."""
 
 
 def made(robot: str, backend: str = "daqp", *tasks: dict[str, Any], **options: Any) -> rmrc.Problem:
@@ -40,10 +44,13 @@ def test_a_target_out_of_reach_ends_stuck(robot: str, backend: str) -> None:
     # A base that floats reaches anything; without it the arm does not.
     dofs = {"dofs": ROBOTS[robot].arm} if ROBOTS[robot].arm else {}
     controller = rmrc.Controller(made(robot, backend, ROBOTS[robot].tasks()[0], **dofs))
-    controller.set_target("hand", moved(controller, 3.0, 0.0, 0.0))
+    # Straight ahead the arm of the G1 creeps for a minute, at 0.02 rad/s: it does not rest.
+    away = (0.0, 3.0, 0.0) if robot == "g1" else (3.0, 0.0, 0.0)
+    controller.set_target("hand", moved(controller, *away))
     assert stuck_after(controller, 600) is not None
     step = controller.step()
     assert step.status is Status.STUCK
+    assert np.abs(step.v).max() <= REST
     assert controller.failures == 0
     # It says so no longer than it is true.
     controller.set_target("hand", moved(controller, 0.0, 0.0, 0.0))
@@ -53,16 +60,14 @@ def test_a_target_out_of_reach_ends_stuck(robot: str, backend: str) -> None:
 
 
 @each_backend
-def test_joints_that_move_nothing_on_are_no_progress(backend: str) -> None:
+def test_a_robot_that_moves_is_not_stuck(backend: str) -> None:
     # The hand is out of reach, and the rest of the arm turns about it for good.
     turning = {"name": "turn", "type": "velocity", "B": 0.1, "target": {"joint7": 0.05}}
     hand = ROBOTS["panda"].tasks(B=[1.0, 1.0, 1.0, 0.0, 0.0, 0.0])[0]
     controller = rmrc.Controller(made("panda", backend, hand, turning))
     controller.set_target("hand", moved(controller, 3.0, 0.0, 0.0))
-    assert stuck_after(controller, 600) is not None
-    step = controller.step()
-    assert step.v[6] > 0.04
-    assert step.status is Status.STUCK
+    assert stuck_after(controller, 300) is None
+    assert controller.step().v[6] > 0.04
 
 
 @each_backend

@@ -37,15 +37,6 @@ SLIDE = """<mujoco><worldbody>
 </worldbody></mujoco>"""
 
 
-@pytest.fixture(params=["python", "native"])
-def engine(request: pytest.FixtureRequest) -> Any:
-    if request.param == "native":
-        pytest.importorskip(
-            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
-        )
-    return request.param
-
-
 def panda(repository: Path, dt: float, curvature: bool = True, **others: Any) -> rmrc.Problem:
     tasks: list[dict[str, Any]] = [
         {"name": "hand", "type": "frame", "frame": {"site": "hand"}},
@@ -186,3 +177,80 @@ def test_both_engines_take_the_same_steps(repository: Path, others: dict[str, An
         one, other = python.step(q), native.step(q)
         assert other.v == pytest.approx(one.v, rel=SAME, abs=SAME)
         q = one.q
+
+
+def planar_chain(links: int) -> str:
+    """Return a chain of hinges in a plane, 1 m long, with a site `hand` at its end."""
+    length = 1.0 / links
+    opened = "".join(
+        f'<body pos="{length if k else 0.0} 0 0"><joint name="j{k}" axis="0 0 1"/>'
+        f'<geom type="capsule" fromto="0 0 0 {length} 0 0" size="0.01" contype="0"/>'
+        for k in range(links)
+    )
+    site = f'<site name="hand" pos="{length} 0 0"/>'
+    return f"<mujoco><worldbody>{opened}{site}{'</body>' * links}</worldbody></mujoco>"
+
+
+POINT = {"B": {"position": 1.0, "orientation": 0.0}}
+KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "soft": ({}, {}),
+    "strict": ({}, {"priority": "strict"}),
+    "hard": ({"hard": True}, {}),
+    "hard point": ({"hard": True, **POINT}, {}),
+    "direction": ({"preserve": "direction"}, {}),
+    "direction of a point": ({"preserve": "direction", **POINT}, {}),
+    "strict, acceleration": (
+        {},
+        {"priority": "strict", "limits": {"acceleration": {"default": 10.0}}},
+    ),
+}
+CREEPS = 1e-4
+"""A rate below this, rad/s, has no sign: what a lower task still asks for changes it."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("links", [2, 7, 12, 30])
+@pytest.mark.parametrize("target", [[1.05, 0.5, 0.0], [20.0, -45.0, 0.0]])
+def test_a_chain_rests_however_its_hand_is_asked(
+    tmp_path: Path, kind: str, links: int, target: list[float]
+) -> None:
+    """No joint of it shakes at the end, and it slows down to the rate of the lower task."""
+    pytest.importorskip(
+        "rmrc._native", reason="the native extension is not built", exc_type=ImportError
+    )
+    (tmp_path / "chain.xml").write_text(planar_chain(links))
+    own, others = KINDS[kind]
+    tasks = [
+        {"name": "hand", "type": "frame", "frame": {"site": "hand"}, **own},
+        {"name": "posture", "type": "posture", "level": 1, "B": 0.01},
+    ]
+    problem = rmrc.compile(config(str(tmp_path / "chain.xml"), tasks, dt=0.002, **others))
+    controller = rmrc.Controller(problem, "native")
+    assert controller.set_target("hand", position=target)
+    rates = np.array([controller.step().v for _ in range(10_000)])
+    last = np.where(np.abs(rates[-500:]) < CREEPS, 0.0, rates[-500:])
+    assert sign_changes(last) <= 1
+    assert np.abs(rates[-1]).max() <= max(1e-3, np.abs(rates[-500]).max())
+
+
+@pytest.mark.parametrize("kind", ["coupling", "kinetic_energy"])
+def test_levels_of_nothing_that_bends(repository: Path, engine: Any, kind: str) -> None:
+    """A strict problem may have no level with rows at all."""
+    tasks: dict[str, dict[str, Any]] = {
+        "coupling": {"coefficients": {"joint1": 1.0, "joint2": -1.0}, "hard": True},
+        "kinetic_energy": {},
+    }
+    task = {"name": "alone", "type": kind, **tasks[kind]}
+    scene = str(repository / "scenes" / "panda.xml")
+    problem = rmrc.compile(config(scene, [task], priority="strict"))
+    controller = rmrc.Controller(problem, engine)
+    assert all(np.isfinite(controller.step().v).all() for _ in range(3))
+
+
+def test_a_step_of_next_to_no_time(repository: Path, engine: Any) -> None:
+    """What a level cannot get is found at every dt, though dt² is lost beside W Wᵀ."""
+    controller = rmrc.Controller(panda(repository, 0.002, priority="strict"), engine)
+    controller.set_target("hand", position=[2.0, 0.0, 0.4])
+    for _ in range(2000):
+        controller.step()
+    assert np.isfinite(controller.step(dt=1e-12).v).all()

@@ -30,8 +30,8 @@ NEAR = (0.01, -0.01, 0.01)
 """A shift of the hand's target within reach, m."""
 FAR = (0.3, 0.3, -0.3)
 """One that keeps the joints at their limits, m."""
-# What an error may rise by where the tasks have come to their balance, m.
-SETTLED = 1e-6
+# What V may rise by, which is at most 0.01 m²/s: rounding of the configuration.
+SETTLED = 1e-12
 
 
 @cache
@@ -72,9 +72,16 @@ def test_steps_of_any_length_keep_the_limits(made: rmrc.Problem, dt: float) -> N
 @pytest.mark.parametrize("dt", [0.1, 10.0])
 def test_long_steps_do_not_pass_their_target(made: rmrc.Problem, dt: float) -> None:
     # The gain is capped at 1/dt, so that no step asks for more than the whole error.
-    checked = aimed(made, NEAR)
-    error = [checked.step(dt=dt).error["hand"][0] for _ in range(8)]
-    assert all(then <= now + SETTLED for now, then in pairwise(error)), error
+    checked, error, potential = aimed(made, NEAR), [], []
+    evaluation = checked.controller.engine.evaluation
+    for _ in range(8):
+        error.append(checked.step(dt=dt).error["hand"][0])
+        potential.append(0.0)
+        for term in made.terms:
+            part = evaluation.error_of(evaluation.error, term)
+            potential[-1] += 0.5 * min(term.gain, 1.0 / dt) * float(part @ (term.weight * part))
+    # Where the tasks have come to their balance the hand may give way to the others.
+    assert all(then <= now + SETTLED for now, then in pairwise(potential)), potential
     assert error[-1] < 0.6 * error[0]  # the posture holds ALOHA's six joints back
 
 

@@ -263,8 +263,7 @@ class Checker:
         mujoco.mj_comPos(model, data)
         mujoco.mj_tendon(model, data)
         mujoco.mj_makeConstraint(model, data)
-        names = loop.equalities or [model.equality(k).name for k in range(model.neq)]
-        ids = [model.equality(name).id for name in names]
+        ids = [model.equality(name).id for name in loop.equalities or range(model.neq)]
         meant = np.isin(data.efc_id[: data.ne], ids)
         jacobian = np.zeros((data.ne, model.nv))
         if mujoco.mj_isSparse(model):
@@ -276,7 +275,7 @@ class Checker:
         rates = min(gain, 1.0 / moment.dt) * data.efc_pos[: data.ne][meant]
         free = self._contract.moves & (self._contract.velocity > 0.0)
         left, sigma, _ = np.linalg.svd(jacobian[np.ix_(meant, free)], full_matrices=False)
-        left = left[:, sigma > RANK * max(1.0, *sigma[:1])]
+        left = left[:, sigma > RANK * sigma.max(initial=1.0)]
         missed = np.linalg.norm(left.T @ (jacobian[meant] @ step.v + rates))
         return {"loop": float(missed / max(1.0, np.linalg.norm(rates)))}
 
@@ -380,6 +379,10 @@ def _pairs_of(barrier: object) -> list[tuple[int, int]]:
     return [] if geoms is None else [(int(a), int(b)) for a, b in geoms]
 
 
+ROUNDED = 1e-12
+"""Share of the parts of a sum that rounding leaves of it where they cancel."""
+
+
 def _residual(qp: QP, solution: Solution, unit: float) -> float:
     """Return the largest residual of the optimality conditions of a program at a solution."""
     v, z, y, w = (
@@ -390,11 +393,14 @@ def _residual(qp: QP, solution: Solution, unit: float) -> float:
     )
     ends = ((v, qp.lb, qp.ub, z), (qp.C @ v, qp.lo, qp.hi, y))
     primal = float(np.abs(qp.E @ v - qp.f).max(initial=0.0))
-    dual = float(np.linalg.norm(qp.H @ v + qp.g + z + qp.C.T @ y + qp.E.T @ w))
+    parts = (qp.H @ v, qp.g, z, qp.C.T @ y, qp.E.T @ w)
+    dual = float(np.linalg.norm(sum(parts)))
+    dual = max(0.0, dual - ROUNDED * sum(float(np.linalg.norm(part)) for part in parts))
     slackness = 0.0
     for x, lower, upper, multiplier in ends:
         primal = max(primal, float(np.maximum(lower - x, x - upper).max(initial=0.0)))
-        room = np.maximum(np.where(multiplier > 0.0, upper - x, x - lower), 0.0)
+        room = np.where(multiplier > 0.0, upper - x, x - lower) - ROUNDED * np.abs(x)
+        room = np.maximum(room, 0.0)
         limited = (multiplier != 0.0) & np.isfinite(room)
         slackness += float(np.abs(multiplier[limited]) @ room[limited])
         dual = max(dual, float(np.abs(multiplier[~np.isfinite(room)]).max(initial=0.0)))

@@ -94,7 +94,7 @@ class Contract:
         joints = [*(task.get("joints") or ()), *(task.get("coefficients") or ())]
         joints += task["target"] if isinstance(task.get("target"), dict) else ()
         if task["type"] == "loop":
-            for name in task["equalities"] or [model.equality(k).name for k in range(model.neq)]:
+            for name in task["equalities"] or range(model.neq):
                 k = model.equality(name).id
                 ends = [model.eq_obj1id[k], model.eq_obj2id[k]]
                 if model.eq_type[k] == mujoco.mjtEq.mjEQ_TENDON:

@@ -30,8 +30,10 @@ each_way = pytest.mark.parametrize("adapt", ["sigma_min", "manipulability", "err
 
 
 def controller(robot: str, *tasks: dict[str, Any], **others: Any) -> rmrc.Controller:
+    """Return a controller without limits and curvature, unless the options say so."""
     scene = str(REPOSITORY / "scenes" / f"{robot}.xml")
-    options = {"limits": OFF, **others}
+    damping = {"curvature": "off", **others.pop("damping", {})}
+    options = {"limits": OFF, "damping": damping, **others}
     return rmrc.Controller(rmrc.compile(config(scene, list(tasks), **options)))
 
 

@@ -11,7 +11,7 @@ import pytest
 import rmrc
 from models import REPOSITORY, config
 from pages import browsed, data_of, unpack
-from rmrc.record.overlay import table
+from rmrc.record.overlay import COLOURS, _styles, table
 
 CONFIGS = REPOSITORY / "configs"
 # What a person with full colour vision sees, and with neither red nor green cones (Machado,
@@ -83,6 +83,14 @@ def test_a_method_has_one_colour_and_each_of_its_backends_a_dash(data: dict[str,
     assert looks == [(0, "solid"), (0, "dash"), (2, "solid"), (3, "solid")]
 
 
+def test_all_methods_look_different() -> None:
+    loaded = rmrc.load(CONFIGS / "panda_line.yaml", overrides={"duration": 0.02})
+    comparison = rmrc.compare(loaded, backends=["daqp"])
+    looks = [(style["series"], style["dash"]) for style in _styles(comparison.entries).values()]
+    assert len(set(looks)) == len(looks) == len(comparison.entries)
+    assert {series for series, _ in looks} <= set(range(COLOURS))
+
+
 def test_what_zigzags_is_drawn_below_the_rest(data: dict[str, Any]) -> None:
     layers = {n: t.get("layer", 0) for n, t in traces(data, "Largest joint rate").items()}
     assert layers == {"qp daqp": 0, "qp osqp": 0, "transpose": -1, "pinv": 0}
@@ -96,7 +104,7 @@ def test_every_colour_is_told_apart_with_red_green_blindness_too() -> None:
         colours = np.array(
             [[int(hexes[i : i + 2], 16) for i in (1, 3, 5)] for hexes in palette.split()]
         )
-        assert len(colours) == 10
+        assert len(colours) == COLOURS
         for matrix in VISION.values():
             seen = oklab(linear(colours / 255) @ matrix.T)
             apart = np.linalg.norm(seen[:, None] - seen[None], axis=2)

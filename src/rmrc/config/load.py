@@ -14,14 +14,14 @@ from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config
 from rmrc.config.names import disagreements, unknown_names
 from rmrc.config.origins import annotated
-from rmrc.config.overrides import apply, parse_override
+from rmrc.config.overrides import apply, parse_override, parse_sweep, swept
 from rmrc.config.read import read
 from rmrc.config.stacks import expand
 from rmrc.errors import ModelError
 from rmrc.problem.scene import load_model
 from rmrc.problem.tasks import Task
 
-__all__ = ["load", "parse_override", "show"]
+__all__ = ["load", "parse_override", "parse_sweep", "show", "swept"]
 
 
 def load(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Config:

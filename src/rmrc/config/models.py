@@ -3,7 +3,13 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    model_validator,
+)
 
 from rmrc.config.base import (
     JointName,
@@ -38,6 +44,7 @@ Method = Literal[
     "nullspace",
     "saturated",
     "descent",
+    "mink",
 ]
 
 
@@ -58,7 +65,11 @@ def _switched(value: object) -> object:
     return {"on": True, "off": False}.get(value, value) if isinstance(value, str) else value
 
 
-Switch = Annotated[bool, Field(strict=True), BeforeValidator(_switched)]
+Switch = Annotated[
+    bool,
+    Field(strict=True),
+    BeforeValidator(_switched, json_schema_input_type=bool | Literal["on", "off"]),
+]
 """true or on, false or off."""
 
 
@@ -148,7 +159,8 @@ class Config(Model):
     duration: Positive = 5.0
     """Length of the run, s."""
     method: Method = "qp"
-    """How a step is solved: `qp`, or one of the closed forms that it generalises."""
+    """How a step is solved: `qp`, one of the closed forms that it generalises, or `mink`, by mink's
+    own `solve_ik`."""
     follow: Literal["rate", "waypoints", "joint"] = "rate"
     """How a path is followed: `rate` resolves rates, `waypoints` solves every pose on the way to
     convergence, `joint` solves both ends and interpolates the joints."""

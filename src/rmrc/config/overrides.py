@@ -1,8 +1,9 @@
 """Values set from outside, as in ``--set tasks.posture.B=0.1``."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,39 @@ def parse_override(text: str) -> tuple[str, Any]:
         wrong = [replace(mistake, place=place) for mistake in error.mistakes]
         raise config_error(wrong) from None
     return path, None if node is None else node.plain
+
+
+def parse_sweep(text: str) -> tuple[str, list[Any]]:
+    """Return path and values of ``PATH=A,B,…``, the values read as YAML.
+
+    Raises:
+        ConfigError: If there is no path or no value, or they are no YAML.
+    """
+    path, equals, values = text.partition("=")
+    place = Place(f"--sweep {clipped(text)}")
+    try:
+        path, found = parse_override(f"{path}{equals}[{values}]")
+    except ConfigError:
+        found = []
+    if not found:
+        raise config_error(
+            [Mistake((), "write it as in --sweep damping.lambda=0.01,0.1", place=place)]
+        )
+    return path, found
+
+
+def swept(sweeps: Iterable[tuple[str, Sequence[Any]]]) -> dict[str, dict[str, Any]]:
+    """Return the overrides of every combination of values, by names as in `curvature=off`.
+
+    Without any there is one, of the empty name.
+    """
+    several = [[(path, value) for value in values] for path, values in sweeps]
+    return {
+        " ".join(f"{_STEP.findall(path)[-1]}={_text(value)}" for path, value in chosen): dict(
+            chosen
+        )
+        for chosen in product(*several)
+    }
 
 
 def apply(root: Node, overrides: Mapping[str, Any]) -> tuple[Node, list[Mistake]]:

@@ -65,6 +65,8 @@ class PythonEngine:
     """
 
     name = "python"
+    fault: str | None = None
+    """What ends a run: nothing does."""
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -160,25 +162,16 @@ class PythonEngine:
         self.scaled = False
         if self.evaluation.refused:
             return self._held_back(dt)
-        solution = self._best()
+        solution, assembly = self._best(), self._assembly
         if not self._trusted(solution):
             solution = self._descend_ladder(solution)
-        self._keep_still(solution, dt)
+        if assembly.yielding.softened:
+            self.relaxed |= assembly.yielding.misses(solution.v) > INCONSISTENT
         if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
             self.share = 1.0
         return solution
-
-    def _keep_still(self, solution: Solution, dt: float) -> None:
-        """Scale v where the tasks that no cost draws would pass what they are drawn to.
-
-        It is for targets at rest, and where v = 0 is inside the limits.
-        """
-        assembly, qp = self._assembly, self._assembly.qp
-        at_rest = assembly.still and (qp.lb <= 0.0).all() and (qp.ub >= 0.0).all()
-        if assembly.curvature.looked and at_rest:
-            solution.v = assembly.curvature.scale(solution.v, assembly.unfed, dt) * solution.v
 
     def _held_back(self, dt: float) -> Solution:
         """Return the brake, for a step of which a part cannot be used; it keeps distances."""
@@ -192,7 +185,7 @@ class PythonEngine:
         Return whether a joint is outside its range, or a distance below its limit.
         """
         assembly = self._assembly
-        self._dt = dt
+        self._dt = assembly.yielding.dt = dt
         self.evaluation.v_previous[:] = v_previous
         outside = self._assemble(q, dt)
         if self._box_alone:
@@ -270,8 +263,15 @@ class PythonEngine:
         if self._cascade is None:
             return self._attempt(self._solver)
         self._cascade.deadline = self.deadline
-        solution = self._cascade.solve(self._assembly.levels(), self._assembly.qp)
-        self.scaled = self._cascade.scale < 1.0 - WHOLE
+        assembly, cascade = self._assembly, self._cascade
+        levels = assembly.levels()
+        solution = cascade.solve(levels, assembly.qp)
+        if assembly.yielding.turns_back(cascade.optima):
+            levels = assembly.levels(directed=False)
+            solution = cascade.solve(levels, assembly.qp)
+        if assembly.yielding.still and self.problem.curvature:
+            solution.v = assembly.yielding.spare(levels, cascade.optima)
+        self.scaled = cascade.scale < 1.0 - WHOLE
         return solution
 
     def _from_cold(self, solution: Solution) -> Solution:
@@ -421,7 +421,6 @@ class PythonEngine:
         corrected = self._best()
         if not self._trusted(corrected):
             return solution
-        self._keep_still(corrected, dt)
         share, passed = self.share, self.relaxed
         self.relaxed = relaxed
         self.keep_distances(corrected, dt)

@@ -5,12 +5,12 @@ from typing import Literal
 
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.control.engine import PythonEngine
-from rmrc.control.methods import ClosedFormEngine
+from rmrc.control.methods import MethodEngine
 from rmrc.errors import ModelError, SolverError, unknown_name
 from rmrc.problem.problem import Problem
 
 Choice = Literal["auto", "python", "native"]
-Engine = PythonEngine | ClosedFormEngine
+Engine = PythonEngine | MethodEngine
 ENGINES = ("auto", "python", "native")
 NOT_BUILT = (
     "rmrc was installed without it; with a C++20 compiler `pip install -v` builds it, "
@@ -40,10 +40,10 @@ def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, .
         from rmrc.control.native import NativeEngine  # which is there, for there is no reason
 
         return NativeEngine(problem), ()
-    closed_form = problem.config.method != "qp"
-    engine = ClosedFormEngine(problem) if closed_form else PythonEngine(problem)
-    # A closed form is Python's alone: there is nothing to choose, and nothing to say.
-    return engine, (f"the Python engine runs: {reason}",) if reason and not closed_form else ()
+    other = problem.config.method != "qp"
+    engine = MethodEngine(problem) if other else PythonEngine(problem)
+    # Another method is Python's alone: there is nothing to choose, and nothing to say.
+    return engine, (f"the Python engine runs: {reason}",) if reason and not other else ()
 
 
 def _reason(problem: Problem) -> str | None:

@@ -1,18 +1,15 @@
 """Why a step is what it is: what binds, what each task asked for and got, what would help."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.joint_bounds import JointBounds
+from rmrc.control.reasons import Reason, reasons
 from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
-from rmrc.problem.configuration import joint_type
-from rmrc.problem.limits.box import BoxLimit
-from rmrc.problem.limits.joints import joint_name
-from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution
 
@@ -21,8 +18,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SAME = 1e-9
-"""Two bounds that differ by less than this, rad/s or m/s, are the same."""
 SHOWN = 6
 """Distances below their limits that are named."""
 
@@ -103,6 +98,8 @@ class Explanation:
     passed: tuple[Passed, ...] = ()
     """The distances that were below their limits, the furthest first. No step takes them further,
     so that many at once can hold a robot where it is."""
+    reasons: tuple[Reason, ...] = ()
+    """Why the tasks are not there, of a step that is stuck."""
 
     @property
     def relief(self) -> Binding | None:
@@ -111,6 +108,8 @@ class Explanation:
 
     def __str__(self) -> str:
         lines = [f"{flag.name}: {flag.advice}" for flag in self.flags]
+        if self.reasons:
+            lines += ["why it is not there:", *(f"  {reason}" for reason in self.reasons)]
         if self.bindings:
             lines += ["what binds:", *(f"  {binding}" for binding in self.bindings)]
         else:
@@ -128,7 +127,7 @@ class Explanation:
             ]
         if self.tasks:
             lines += ["what the tasks asked for and got:", *(f"  {task}" for task in self.tasks)]
-        if self.relief is not None:
+        if self.relief is not None and not self.reasons:
             lines.append(
                 f"what would help most: relaxing the {self.relief.limit} limit of "
                 f"{self.relief.name}"
@@ -136,21 +135,28 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explain(step: "Step") -> Explanation:
-    """Return the account of a step, from its multipliers and its state evaluated again."""
+def explain(step: "Step", stuck: bool | None = None) -> Explanation:
+    """Return the account of a step, from its multipliers and its state evaluated again.
+
+    Args:
+        step: The step.
+        stuck: Whether the robot was stuck in it; by default as the step says.
+    """
     moment, solution = step.moment, step.solution
     problem = moment.engine.problem
     flags = tuple(sorted(step.flags, reverse=True))
     with moment.restored():
         bindings = [
-            *_joints(problem, moment, solution),
+            *_joints(moment, solution),
             *_rows(moment, solution),
         ]
         tasks = [_progressed(term, moment, step) for term in problem.terms if term.units]
         passed = _passed(moment)
+        is_stuck = Status.STUCK in flags if stuck is None else stuck
+        found = reasons(moment, solution) if is_stuck else ()
     bindings.sort(key=lambda binding: -abs(binding.multiplier))
     return Explanation(
-        step.status, flags, tuple(bindings), tuple(tasks), moment.share, tuple(passed)
+        step.status, flags, tuple(bindings), tuple(tasks), moment.share, tuple(passed), found
     )
 
 
@@ -167,51 +173,15 @@ def _passed(moment: Moment) -> list[Passed]:
     return sorted(found, key=lambda passed: -passed.by)
 
 
-def _joints(problem: Problem, moment: Moment, solution: Solution) -> list[Binding]:
+def _joints(moment: Moment, solution: Solution) -> list[Binding]:
     """Return the active bounds of the joints."""
-    assembly, model = moment.engine.assembly, problem.model
-    active = np.flatnonzero(np.abs(solution.bound_multiplier) > ACTIVE_MULTIPLIER).tolist()
-    without = _boxes_without(problem, moment) if active else {}
-    found = []
-    for k in active:
+    bounds, unit, found = JointBounds(moment), moment.engine.assembly.unit, []
+    for k in np.flatnonzero(np.abs(solution.bound_multiplier) > ACTIVE_MULTIPLIER).tolist():
         multiplier = float(solution.bound_multiplier[k])
         side = "upper" if multiplier > 0.0 else "lower"
-        bound = float((assembly.qp.ub if multiplier > 0.0 else assembly.qp.lb)[k])
-        joint = int(model.dof_jntid[problem.dofs[k]])
-        further = (kind for kind, box in without.items() if _is_further(box, k, side, bound))
-        kind = next(further, "jerk")
-        if kind == "velocity" and problem.box.velocity[k] == 0.0:
-            kind = "freeze"
-        elif kind == "velocity" and joint_type(model, joint) == mujoco.mjtJoint.mjJNT_FREE:
-            kind = "base"
-        found.append(
-            Binding(kind, joint_name(model, joint), side, bound, abs(multiplier) / assembly.unit)
-        )
+        named = bounds.kind(k, side), bounds.name(k), side, bounds.bound(k, side)
+        found.append(Binding(*named, abs(multiplier) / unit))
     return found
-
-
-def _boxes_without(problem: Problem, moment: Moment) -> dict[str, BoxLimit]:
-    """Return the box of a step without position limits; without those of velocity, too; and so on.
-
-    The first in which a bound stands further out tells which limit put it there.
-    """
-    box, dofs, boxes = problem.box, problem.dofs, {}
-    infinite = np.full(dofs.size, math.inf)
-    for kind, gone in (
-        ("position", {"lower": -infinite, "upper": infinite}),
-        ("velocity", {"velocity": infinite, "step": math.inf}),
-        ("acceleration", {"acceleration": infinite}),
-    ):
-        box = replace(box, **gone)
-        boxes[kind] = BoxLimit(box)
-        before = moment.v_previous[dofs], moment.a_previous[dofs]
-        boxes[kind].update(moment.q, *before, moment.dt)
-    return boxes
-
-
-def _is_further(box: BoxLimit, k: int, side: str, bound: float) -> bool:
-    """Return whether an end of a joint's interval stands further out than a bound."""
-    return box.upper[k] > bound + SAME if side == "upper" else box.lower[k] < bound - SAME
 
 
 def _rows(moment: Moment, solution: Solution) -> list[Binding]:

@@ -36,8 +36,8 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
     """Run a configuration from its start to its end.
 
     Row k of the run is the state at t_k = k dt before the step that is taken there, k = 0 … N with
-    N dt the duration. An interrupt (Ctrl-C) or a simulation that fails ends the run; what was done
-    so far is returned.
+    N dt the duration. An interrupt (Ctrl-C), a simulation that fails or, by `method: mink`, a step
+    without a solution ends the run; what was done so far is returned.
 
     Args:
         config: The configuration, or the problem compiled from it.
@@ -69,8 +69,8 @@ def solve(config: Config | Problem, progress: Progress | None = None) -> Run:
             elapsed = time.perf_counter_ns() - begin
             log.add(k, now, step, execution.state(step, targets), elapsed)
             execution.carry_out(step)
-            if execution.fault is not None:
-                log.unfinished.insert(0, execution.fault)
+            if fault := execution.fault or controller.engine.fault:
+                log.unfinished.insert(0, fault)
                 break
     except KeyboardInterrupt:
         log.interrupted = True

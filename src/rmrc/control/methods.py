@@ -1,4 +1,4 @@
-"""The closed forms as methods of a run: the same tasks, paths and record as the QP's."""
+"""The other methods of a run, closed forms and mink: the tasks, paths and record are the QP's."""
 
 import math
 from collections.abc import Callable
@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from rmrc import reference
 from rmrc.config.mistakes import Mistake, config_error
+from rmrc.config.models import Config, DampingModel, SolverModel
+from rmrc.control.mink_ik import MinkIK, Unsolved, ignored_tasks, unread
 from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.limits.ball import BallRanges
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
-from rmrc.qp.assemble import Assembly, square_root
+from rmrc.problem.tasks.base import Term, square_root
+from rmrc.qp.assemble import Assembly
 from rmrc.qp.cascade import WHOLE
 from rmrc.qp.program import KKT, Solution, SolveStatus
 from rmrc.qp.rows import Rows
@@ -88,7 +91,9 @@ def _descent(ask: Ask) -> Array:
     return found.q / ask.dt
 
 
-METHODS: dict[str, Callable[[Ask], Array | reference.Saturation]] = {
+Solve = Callable[[Ask], Array | reference.Saturation]
+
+METHODS: dict[str, Solve] = {
     "inverse": lambda ask: reference.inverse(ask.jacobian, ask.rate),
     "transpose": lambda ask: reference.transpose(ask.jacobian, ask.rate),
     "pinv": lambda ask: reference.pinv(ask.jacobian, ask.rate),
@@ -108,10 +113,48 @@ METHODS: dict[str, Callable[[Ask], Array | reference.Saturation]] = {
 }
 """The closed form of each method: v (n,), with what the limits did to it where it keeps them."""
 
-WITHIN_LIMITS = frozenset({"saturated"})
-"""The methods that keep the limits of the joints."""
-ALL_LEVELS = frozenset({"nullspace"})
+KEPT_LIMITS = {
+    "saturated": ("position", "velocity", "acceleration", "jerk"),
+    "mink": ("position", "velocity", "balls", "collision", "mink's"),
+}
+"""The limits that methods keep, but for those that keep none and qp, which keeps all."""
+ALL_LEVELS = frozenset({"nullspace", "mink"})
 """The methods that have tasks below the highest level, and tasks on the joints."""
+BENT = frozenset({"qp", "dls"})
+"""The methods that have the curvature of the tasks."""
+DAMPED = BENT | {"nullspace", "mink"}
+"""The methods that have λ."""
+WITH_SOLVER = frozenset({"qp", "mink"})
+"""The methods that have a QP solver."""
+
+
+def as_read(config: Config) -> Config:
+    """Return a configuration without what its method does not read of damping and solver."""
+    method, update = config.method, {}
+    if method not in DAMPED:
+        update["damping"] = DampingModel()
+    elif method not in BENT:
+        update["damping"] = config.damping.model_copy(update={"curvature": True})
+    if method not in WITH_SOLVER:
+        update["solver"] = SolverModel()
+    return config.model_copy(update=update)
+
+
+def ignored_limits(problem: Problem) -> list[str]:
+    """Return the limits at work that the problem's method has no place for, if it keeps any."""
+    kept, box = KEPT_LIMITS.get(problem.config.method), problem.box
+    if kept is None:
+        return []
+    at_work = {
+        "acceleration": bool(np.isfinite(box.acceleration).any()),
+        "jerk": bool(np.isfinite(box.jerk).any()),
+        "balls": any(isinstance(limit, BallRanges) for limit in problem.barriers),
+        "speed": bool(problem.speeds),
+        "workspace": bool(problem.config.limits.workspace),
+        "collision": problem.config.limits.collision != "off",
+        "mink's": bool(problem.mink_limits),
+    }
+    return [kind for kind, works in at_work.items() if works and kind not in kept]
 
 
 def ignored(problem: Problem) -> list[Term]:
@@ -120,6 +163,8 @@ def ignored(problem: Problem) -> list[Term]:
     highest = min((t.level for t in problem.terms if t.rows and not t.joint), default=0)
     if method == "qp":
         return []
+    if method == "mink":
+        return ignored_tasks(problem)
     if method in ALL_LEVELS:
         return [term for term in problem.terms if not term.rows]
     return [t for t in problem.terms if t.joint or not t.rows or t.level > highest]
@@ -136,21 +181,23 @@ def shortcomings(problem: Problem) -> list[str]:
         )
     if method == "qp":
         return lines
-    if method not in WITHIN_LIMITS:
+    if method not in KEPT_LIMITS:
         lines.append(f"method {method} keeps no limits; what it passes is counted as violations")
-    elif problem.barriers or problem.speeds or problem.mink_limits:
-        lines.append(f"method {method} keeps the limits of the joints, and no others")
+    elif kinds := ignored_limits(problem):
+        lines.append(f"method {method} has no place for the limits {', '.join(kinds)}")
     if absent := ignored(problem):
         names = ", ".join(term.name for term in absent)
         lines.append(f"method {method} has no place for the tasks {names}")
-    if problem.mink_tasks:
+    if method == "mink":
+        lines += [f"method {method} has no place for {asked}" for asked in unread(problem)]
+    elif problem.mink_tasks:
         names = ", ".join(type(task).__name__ for task in problem.mink_tasks)
         lines.append(f"method {method} has no place for tasks of mink's: {names}")
     return lines
 
 
-class ClosedFormEngine:
-    """Turns q, v_prev, the targets and dt into the v of a closed form."""
+class MethodEngine:
+    """Turns q, v_prev, the targets and dt into the v of a closed form, or of mink."""
 
     name = "python"
     relaxed = damped = False
@@ -166,7 +213,10 @@ class ClosedFormEngine:
         self.outside = False
         self.scaled = False
         """Whether the limits slowed the task down at the last step."""
-        self._method = METHODS[problem.config.method]
+        self.fault: str | None = None
+        """Why mink has given no command, where it has not."""
+        method = problem.config.method
+        self._method: Solve = MinkIK(problem) if method == "mink" else METHODS[method]
         left_out = {term.name for term in ignored(problem)}
         kept = [t for t in self.evaluation.terms if not t.joint and t.name not in left_out]
         weights = [np.diag(t.weight) if t.weight.ndim == 1 else t.weight for t in kept]
@@ -191,6 +241,8 @@ class ClosedFormEngine:
                 f"{method} has no place for hard tasks: {', '.join(hard)}; "
                 "take qp, or set `hard: false`",
             )
+        if method in ALL_LEVELS and len(ignored(self.problem)) == len(self.problem.terms):
+            return Mistake(("method",), f"{method} has no place for any of the tasks")
         if not rows and method not in ALL_LEVELS:
             return Mistake(
                 ("method",), f"{method} needs a task with a weight on a frame or a point"
@@ -233,17 +285,19 @@ class ClosedFormEngine:
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the closed form's v at q (nq,) for a step of dt seconds.
 
-        Where it has none, as an inverse at a singularity, v is the brake.
+        Where it has none, as an inverse at a singularity or mink where no v keeps its limits, v is
+        the brake.
         """
-        self.outside = self.prepare(q, v_previous, dt)
+        self.outside, self.fault = self.prepare(q, v_previous, dt), None
         qp = self.assembly.qp
         ask = Ask(self.problem, self.evaluation, self.assembly, self._rows, self._weight, dt)
         solution = Solution.at_rest(qp)
         solution.kkt = UNCERTIFIED
         try:
             found = self._method(ask)
-        except ValueError:
+        except ValueError as failure:
             found = np.full(qp.g.size, np.nan)
+            self.fault = str(failure) if isinstance(failure, Unsolved) else None
         scale = 1.0
         if isinstance(found, reference.Saturation):
             found, scale, solution.bound_multiplier = found

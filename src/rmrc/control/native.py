@@ -22,7 +22,7 @@ from rmrc.problem.frames import FrameHandle
 from rmrc.problem.limits.extents import dofs_of_bodies
 from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.axis_align import AxisAlignTerm
-from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.base import Term, square_root
 from rmrc.problem.tasks.centering import CenteringTerm
 from rmrc.problem.tasks.com import ComTerm
 from rmrc.problem.tasks.coupling import CouplingTerm
@@ -33,7 +33,7 @@ from rmrc.problem.tasks.posture import PostureTerm
 from rmrc.problem.tasks.relative_frame import RelativeFrameTerm
 from rmrc.problem.tasks.smooth import SmoothTerm
 from rmrc.problem.tasks.velocity import VelocityTerm
-from rmrc.qp.assemble import Assembly, square_root
+from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import Backend, create
 from rmrc.qp.backends.native import MOST_CHANGES, Native
 from rmrc.qp.program import KKT, Solution, SolveStatus
@@ -143,11 +143,8 @@ class NativeEngine(PythonEngine):
         self._cdof = np.zeros((model.nv, 6))
         self._native = self._build()
         curvature = self._assembly.curvature
-        self._ways = {
-            term.name: curvature.joints(way)
-            for term, _, way in (*curvature.terms, *curvature.looked)
-        }
-        self._looks = {term.name: square_root(mask) for term, mask, _ in curvature.looked}
+        self._ways = {term.name: curvature.joints(way) for term, way in curvature.ways.items()}
+        self._exact = {t.name: square_root(mask) for t, mask in curvature.exact.items()}
         rows = _ROWS if not has_evaluator(model, evaluation.terms) else (*_ROWS, LoopTerm)
         watched = native_kinematics.of_step(problem, evaluation.terms, self._rows)
         self._native.follow(native_kinematics.build(model, data, self._cdof, watched))
@@ -193,6 +190,7 @@ class NativeEngine(PythonEngine):
             floor=problem.damping**2,
             least_curvature=assembly.curvature.least,
             brakes=problem.curvature,
+            soft_ratio=problem.soft_ratio,
             limits=(
                 box.coordinate.tolist(),
                 box.lower.tolist(),
@@ -231,7 +229,9 @@ class NativeEngine(PythonEngine):
         """Hand a term to the extension, which evaluates those with rows that are of these kinds."""
         native, weight = self._native, self._assembly.leveled(term)
         if term.joint:
-            native.add_joint_task(self._rows_of(term, weight), _JOINT.get(type(term), "foreign"))
+            kind = _JOINT.get(type(term), "foreign")
+            wrapped = term.wrapped.tolist() if isinstance(term, PostureTerm) else []
+            native.add_joint_task(self._rows_of(term, weight), kind, wrapped)
             return
         rows = self._rows_of(term, square_root(weight))
         match term:
@@ -275,7 +275,7 @@ class NativeEngine(PythonEngine):
                 for first, last, _ in (part.indices(term.rows),)
             ],
             way=self._ways.get(term.name, []),
-            look=self._looks[term.name].ravel().tolist() if term.name in self._looks else [],
+            exact_root=self._exact[term.name].ravel().tolist() if term.name in self._exact else [],
         )
 
     def _frame(self, frame: FrameHandle) -> _native.Frame:

@@ -15,7 +15,7 @@ from rmrc.problem.problem import Problem
 from rmrc.problem.tasks.base import Term
 from rmrc.problem.tasks.loop import ROWS, TORQUE_SCALE, End, LoopTerm, ends_of_equality
 from rmrc.problem.tasks.pointing import PointingTerm
-from rmrc.qp.assemble import Assembly, square_root
+from rmrc.qp.assemble import Assembly
 from rmrc.qp.equalities import weighed_directions
 
 Array = NDArray[np.float64]
@@ -144,10 +144,8 @@ def descend(
         parts, joints = [], []
         for term in terms:
             if term.joint:
-                root = square_root(made.leveled(term))
-                root = np.diag(root) if root.ndim == 1 else root
-                root = root[np.any(root != 0.0, axis=1)]
-                joints.append((evaluation.rows_of([term]).start, root.ravel().tolist()))
+                root = made.yielding.root(term).ravel().tolist()
+                joints.append((evaluation.rows_of([term]).start, root))
             else:
                 directed = np.flatnonzero(term.diagonal > 0.0).tolist() if term.preserve else []
                 parts.append((places[term.name], directed))

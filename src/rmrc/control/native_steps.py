@@ -151,7 +151,6 @@ def build_stepper(
             (places[term.name], weight.tolist(), *limits)
             for term, weight, limits in progress.watched()
         ],
-        targets=evaluation.targets,
         tolerance=progress.tolerance,
     )
     for term in terms:

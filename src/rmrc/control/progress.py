@@ -1,4 +1,4 @@
-"""Whether the tasks still get on: `STUCK` comes from progress, not from a velocity."""
+"""Whether the robot rests without being there: `STUCK`."""
 
 import math
 
@@ -12,10 +12,10 @@ from rmrc.qp.assemble import Assembly
 
 Array = NDArray[np.float64]
 
+REST = 1e-3
+"""The robot rests where no joint is faster, rad/s or m/s."""
 WINDOW = 0.25
-"""Time over which progress is judged, s."""
-LOOKS = 10
-"""Looks at the errors in that time."""
+"""Time for which it has to rest, s: joints that turn round or set off are slow for less."""
 SHARE = 1e-3
 """Share of the speed that is asked for below which there is no progress."""
 TOLERANCES = 0.1
@@ -23,13 +23,12 @@ TOLERANCES = 0.1
 
 
 class Progress:
-    """Watches the error ‖e‖_B of the decisive tasks.
+    """Watches the decisive tasks of the highest level.
 
-    They are stuck where an error is above its tolerance and the least ‖e‖_B of a quarter of a
-    second is that of the quarter before, but for a tenth of the tolerance a second or a thousandth
-    of the speed asked for, eᵀB ẋ / ‖e‖_B. Joint rates that move nothing on are no progress, nor is
-    a joint that goes to and fro; a slow gain is no want of it, nor are joints that still turn
-    round. Beside targets that move it is the speed of the approach, eᵀB J v / ‖e‖_B, that counts.
+    They are stuck where, for a quarter of a second up to this step, an error is above its
+    tolerance, no joint moves to speak of, and ‖e‖_B falls by less than a tenth of the tolerance a
+    second and less than a thousandth of the speed asked for, eᵀB J v < 10⁻³ eᵀB ẋ: a gain that is
+    slow is no want of progress.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation, assembly: Assembly):
@@ -55,47 +54,25 @@ class Progress:
     def reset(self) -> None:
         """Forget what was."""
         self.stuck = False
-        self._since_look = 0.0
-        self._targets = self._evaluation.targets.copy()
-        self._before = math.inf
-        self._begin()
-
-    def _begin(self) -> None:
-        """Begin a window."""
-        self._elapsed, self._least, self._fastest = 0.0, math.inf, -math.inf
-        self._still, self._moving = True, True  # whether targets never moved; whether they always
+        self._rested = 0.0
 
     def update(self, v: Array, dt: float) -> None:
         """Take note of a command v (n,) for a step of dt at the present evaluation."""
-        self._since_look += dt
-        if self._since_look * LOOKS < WINDOW or not self._terms:
+        if not self._terms:
             return
-        elapsed, self._since_look = self._since_look, 0.0
+        rests = bool(np.abs(v).max() <= REST) and self._is_off() and self._stays(v)
+        self._rested = self._rested + dt if rests else 0.0
+        self.stuck = self._rested >= WINDOW
+
+    def _stays(self, v: Array) -> bool:
+        """Return whether v (n,) brings the tasks no nearer."""
         evaluation, rows = self._evaluation, self._rows
         error = evaluation.error[rows]
         pull = self._weight * error
         length = math.sqrt(max(pull.dot(error), 0.0))
-        if not length > 0.0 or not self._is_off():
-            self.reset()
-            return
-        asked = pull.dot(self._assembly.rate[rows]) / length
-        speed = pull.dot(evaluation.jacobian[rows])[self._dofs].dot(v) / length
-        self._elapsed += elapsed
-        self._least, self._fastest = min(self._least, length), max(self._fastest, speed)
-        moved = not np.array_equal(evaluation.targets, self._targets)
-        self._still, self._moving = self._still and not moved, self._moving and moved
-        self._targets[:] = evaluation.targets
-        if self._elapsed >= WINDOW:
-            self._judge(min(TOLERANCES * self.tolerance, SHARE * asked))
-
-    def _judge(self, slowest: float) -> None:
-        """Say at the end of a window whether the tasks are stuck."""
-        if self._still:
-            self.stuck = abs(self._before - self._least) < slowest * self._elapsed
-        else:
-            self.stuck = self._moving and self._fastest < slowest
-        self._before = self._least
-        self._begin()
+        asked = pull.dot(self._assembly.rate[rows])
+        speed = pull.dot(evaluation.jacobian[rows])[self._dofs].dot(v)
+        return bool(speed < min(TOLERANCES * self.tolerance * length, SHARE * asked))
 
     def _is_off(self) -> bool:
         """Return whether an error is above its tolerance."""

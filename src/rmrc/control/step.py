@@ -15,7 +15,7 @@ from rmrc.qp.rows import KeptRows
 if TYPE_CHECKING:
     from rmrc.control.engine import PythonEngine
     from rmrc.control.explain import Explanation
-    from rmrc.control.methods import ClosedFormEngine
+    from rmrc.control.methods import MethodEngine
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ ADVICE = {
     Status.DAMPED: "The damping is above its floor: near a singularity, or far from the target.",
     Status.RECOVERING: "A joint or a distance is outside its limit and is moving back inside.",
     Status.RELAXED: "A collision or equality row could not hold and was given slack.",
-    Status.STUCK: "The error is above tolerance and no progress is possible inside the limits.",
+    Status.STUCK: "The robot rests, and an error is above tolerance; `explain` says why.",
     Status.MAX_ITER: "The solver gave no certified optimum; v is a feasible point or braking.",
     Status.DEADLINE: "The solver ran out of its time budget; v is a feasible point.",
     Status.STALE: "The target or the measurement is older than its timeout; the robot is braking.",
@@ -101,7 +101,7 @@ class Moment:
 
     def __init__(
         self,
-        engine: "PythonEngine | ClosedFormEngine",
+        engine: "PythonEngine | MethodEngine",
         q: Array,
         v_previous: Array,
         a_previous: Array,
@@ -214,6 +214,18 @@ class Step:
         from rmrc.control.explain import explain  # which needs this module
 
         return explain(self)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the robot is stuck, as "out of reach by 0.23 m"; empty where it is not.
+
+        They are found when they are asked for, with an evaluation for each dof.
+        """
+        if not self.flag_bits >> Status.STUCK & 1:
+            return ()
+        found = self.explain().reasons
+        several = len({reason.task for reason in found}) > 1
+        return tuple(f"{r.task}: {r.what}" if several else r.what for r in found)
 
     @property
     def error(self) -> Errors:

@@ -8,7 +8,7 @@ import numpy as np
 from rmrc.config.models import Config
 from rmrc.control.aims import build_aims, build_obstacles
 from rmrc.control.controller import Controller
-from rmrc.control.explain import Explanation
+from rmrc.control.explain import Explanation, explain
 from rmrc.control.step import Status
 from rmrc.errors import RmrcError
 from rmrc.problem.compile import compile
@@ -46,8 +46,8 @@ def why(run: Run, step: int | None = None) -> tuple[int, Explanation]:
         aim.set_on(controller)
     for obstacle in build_obstacles(problem):
         obstacle.move(now, controller)
-    explanation = controller.step(run.q[k]).explain()
     recorded = Status[run.manifest["statuses"][run.status[k]]]
+    explanation = explain(controller.step(run.q[k]), recorded is Status.STUCK)
     if recorded in explanation.flags:
         return k, explanation
     # Some statuses, as STUCK, are of the steps before.

@@ -93,6 +93,7 @@ class _Compiler:
         for term in terms:
             if isinstance(term, FreezeTerm):
                 box.velocity[term.dofs] = 0.0
+        terms = tuple(term.within(box.lower, box.upper) for term in terms)
         moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
         barriers = compile_barriers(objects, config.limits, start, moving, mistakes, notices)
         if barriers:
@@ -108,8 +109,7 @@ class _Compiler:
             for term in terms
             if isinstance(term, KineticEnergyTerm)
         )
-        strict = config.priority == "strict"
-        solver, timeout = config.solver, config.timeout
+        strict, solver, timeout = config.priority == "strict", config.solver, config.timeout
         return Problem(
             config=config,
             model=model,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
+from rmrc.problem.tasks.base import Term, square_root
 from rmrc.qp.braking import Braking
 from rmrc.qp.cascade import Level
 from rmrc.qp.curvature import Curvature
@@ -18,17 +18,9 @@ from rmrc.qp.damping import Damping, largest_square
 from rmrc.qp.equalities import Equalities
 from rmrc.qp.foreign import checked
 from rmrc.qp.program import QP
+from rmrc.qp.yielding import Yielding
 
 Array = NDArray[np.float64]
-
-
-def square_root(weight: Array) -> Array:
-    """Return S with B = SᵀS: of a diagonal element by element, of a matrix by its eigenvectors."""
-    if weight.ndim == 1:
-        return np.sqrt(weight)
-    values, vectors = np.linalg.eigh(weight)
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
 
 LEAST_DAMPING = 1e-12
 """λ² at a level, where the configuration has less: it keeps a level's program definite."""
@@ -58,10 +50,6 @@ class Assembly:
         self._capped = self._gain.copy()
         self.rate = np.empty_like(self._gain)
         """ẋ = K e + ẋ_ff of all terms at the last assembly."""
-        self.unfed = np.empty_like(self._gain)
-        """K clamp(e) of all terms, ẋ without its feed-forward."""
-        self.still = True
-        """Whether no target that a task has a gain for moves."""
         self._row_rate = self.rate[:rows]
         # What mocap bodies carry may move whenever they do.
         self._fed = bool(problem.model.nmocap) or any(
@@ -100,8 +88,9 @@ class Assembly:
             for level in sorted({term.level for term in soft})
         ]
         """The terms of each level, the highest first."""
-        hard = len(soft) < len(evaluation.terms)
-        self._equalities = Equalities(problem, evaluation) if hard else None
+        self.yielding = Yielding(
+            problem, self.curvature, self.leveled, self.leveled_terms, self.rate, self.qp
+        )
         self.inertia = np.empty((problem.model.nv, problem.model.nv))
         """M(q) (nv, nv) at the last assembly, where A has a share of it."""
         self._gradient = np.empty(problem.model.nv)
@@ -199,8 +188,7 @@ class Assembly:
             if length > longest:
                 rate *= longest / length
         self.curvature.update(self.rate, dt)
-        self.unfed[:] = unfed = self.rate.copy()
-        self.still = not evaluation.feedforward[self._gain > 0.0].any()
+        unfed = self.rate.copy()
         if self._fed or 1 in evaluation.moving:
             self.rate += evaluation.feedforward  # ẋ = K clamp(e) + ẋ_ff
         weighted, unwanted = self._weigh(), self._weigh_rate()
@@ -238,7 +226,11 @@ class Assembly:
         if not gain:
             return
         pulled = np.stack([driven, way], axis=1)[self._dofs]
-        v, way = np.linalg.solve(qp.H, pulled).T
+        try:
+            np.linalg.cholesky(qp.H)
+            v, way = np.linalg.solve(qp.H, pulled).T
+        except np.linalg.LinAlgError:  # no one optimum, where nothing is damped
+            return
         share, slope = self.braking.field(v, way, gain, dt)
         if self._problem.cascaded:
             soft = np.concatenate(
@@ -248,7 +240,7 @@ class Assembly:
                 ]
             )
             self.rate -= soft * unfed
-        elif self.braking.jerks and self.still:
+        elif self.braking.jerks and self.yielding.still:
             v_previous = evaluation.v_previous[self._dofs]
             qp.g += pulled[:, 0] - qp.H @ self.braking.followed(share * v, slope, v_previous, dt)
         else:
@@ -304,10 +296,13 @@ class Assembly:
             metric = metric + self._problem.inertia * self.inertia[chosen]
         return metric
 
-    def levels(self) -> list[Level]:
+    def levels(self, directed: bool = True) -> list[Level]:
         """Return what each level asks for at the present assembly, the highest first.
 
-        Last comes what picks among equal motions: A, or the least norm.
+        What preserves its direction is a cost like any other where it is not to be `directed`.
+
+        Before them come hard tasks that are a cost at this step. Last comes what picks among equal
+        motions: A, or the least norm.
         """
         n = self._dofs.size
         damping = max(self.unit * self.adaptive.square, LEAST_DAMPING) * np.eye(n)
@@ -315,19 +310,23 @@ class Assembly:
         metric = metric + damping if metric.any() else np.eye(n)
         weighted, wanted = self._weigh(), -self._weigh_rate()
         return [
-            *(self._level(level, weighted, wanted, damping) for level in self.leveled_terms),
+            *([self.yielding.level(damping)] if self.yielding.softened else []),
+            *(
+                self._level(level, weighted, wanted, damping, directed)
+                for level in self.leveled_terms
+            ),
             Level(np.zeros((0, n)), np.zeros(0), metric),
         ]
 
-    def _level(self, terms: list[Term], weighted: Array, wanted: Array, damping: Array) -> Level:
+    def _level(
+        self, terms: list[Term], weighted: Array, wanted: Array, damping: Array, directed: bool
+    ) -> Level:
         """Return what terms ask for, out of W and S ẋ of all of them."""
         rows, rates, directions = [], [], []
         for term in terms:
             part = self._evaluation.rows_of([term])
             if term.joint:
-                root = square_root(self.leveled(term))
-                root = np.diag(root) if root.ndim == 1 else root
-                root = root[np.any(root != 0.0, axis=1)]
+                root = self.yielding.root(term)
                 rows.append(root[:, self._dofs])
                 rates.append(root @ self.rate[part])
                 continue
@@ -337,20 +336,30 @@ class Assembly:
                 weighed = term.diagonal > 0.0
                 jacobian = self._evaluation.jacobian[part][weighed]
                 directions.append((jacobian[:, self._dofs], self.rate[part][weighed]))
-        direction = None
-        if directions:
-            jacobians, asked = zip(*directions, strict=True)
-            direction = (np.vstack(jacobians), np.concatenate(asked))
         for level, curvature in self.curvature.levels.items():
             if level <= terms[0].level:
                 damping = damping + np.diag(curvature)
+        direction = None
+        if directions and directed:
+            jacobians, asked = zip(*directions, strict=True)
+            direction = (np.vstack(jacobians), np.concatenate(asked))
+        elif directions:
+            preserved = [term for term in terms if term in self.curvature.exact]
+            damping = damping + self.yielding.bound(preserved)
         return Level(np.vstack(rows), np.concatenate(rates), damping, direction)
 
     def equalities(self) -> Equalities | None:
-        """Return what the hard tasks ask for at the present assembly; None without any."""
-        if self._equalities is not None:
-            self._equalities.update(self.rate)
-        return self._equalities
+        """Return what the hard tasks ask for at the present assembly; None without any.
+
+        Near a singularity those that bend are a cost instead, above all others and with their X.
+        """
+        held = self.yielding.held()
+        if self.yielding.softened and not self._problem.cascaded:
+            level = self.yielding.level(np.zeros_like(self.qp.H))
+            share = self._problem.soft_ratio
+            self.qp.H += (level.rows.T @ level.rows + level.metric) / share
+            self.qp.g -= level.rate @ level.rows / share
+        return held
 
     @property
     def damping(self) -> float:

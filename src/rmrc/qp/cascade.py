@@ -77,6 +77,8 @@ class Cascade:
         self._solvers: dict[tuple[int, int, int], tuple[QP, Backend, Certificate]] = {}
         self.scale = 1.0
         """α of the last solve, the least of all preserved directions."""
+        self.optima: list[Array] = []
+        """v_k (n,) of the levels that were solved, the highest first."""
         self.deadline = math.inf
         """When solving has to end, s, by `time.perf_counter`."""
 
@@ -97,13 +99,17 @@ class Cascade:
         entry = self._enter(state)
         if entry is not None and entry.status is not SolveStatus.SOLVED:
             answer.v, answer.status = state.v, _unsolved(entry, SolveStatus.INFEASIBLE)
+            self.optima = [state.v]
             return answer
         kkt = [KKT(0.0, 0.0, 0.0) if entry is None else entry.kkt]
+        self.optima = []
         for level, stage in (
             (level, s) for level in levels for s in (self._fastest, self._nearest)
         ):
             if not state.count:
                 break
+            if stage == self._fastest and level is not levels[0]:
+                self.optima.append(state.v)
             found = stage(level, state)
             if found is None:
                 continue
@@ -116,6 +122,7 @@ class Cascade:
             kkt.append(solution.kkt)
             state.move(solution.v, reach)
         answer.v = state.v
+        self.optima.append(state.v)
         primal, dual, complementarity = map(max, zip(*kkt, strict=True))
         answer.kkt = KKT(max(primal, state.passed()), dual, complementarity)
         return answer

@@ -1,7 +1,7 @@
 """The curvature of the tasks as a diagonal of the program: with it the robot rests out of reach."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term, Way
+from rmrc.problem.tasks.base import BendingTerm, Pull, Term, Way
 
 Array = NDArray[np.float64]
 
 LEAST = 0.1
 """The least dt K in X with acceleration limits: no direction's gain is then far above K."""
+LONGEST = 3.0
+"""Times that the logarithm's own curvature makes C longer than X, where JᵀBJ does not cover it."""
 
 
 class Curvature:
@@ -42,62 +44,87 @@ class Curvature:
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation, leveled: Callable[[Term], Array]):
-        self._evaluation = evaluation
+        self.evaluation = evaluation
         model, dofs = problem.model, problem.dofs.tolist()
         self._column = {dof: k for k, dof in enumerate(dofs)}
         self._hinge = turning_dofs(model)
         self._unit = np.where(self._hinge, 1.0, model.stat.extent)
-        self.terms = [
-            (term, leveled(term), term.way(model).within(dofs))
-            for term in evaluation.terms
-            if problem.curvature and term.bends and not term.hard and not term.preserve
-        ]
-        """The terms that X has a part of, their B in the program's unit, and their ways."""
-        self.looked = [
-            (term, _mask(term), term.way(model).within(dofs))
-            for term in evaluation.terms
-            if problem.curvature and term.bends and (term.hard or term.preserve)
-        ]
-        """The terms that no cost draws, what of their rows counts, and their ways."""
+        bending = [t for t in evaluation.terms if isinstance(t, BendingTerm) and problem.curvature]
+        self.ways: dict[Term, Way] = {term: term.way(model).within(dofs) for term in bending}
+        """The ways of the terms that bend."""
+        self.exact: dict[Term, Array] = {t: _mask(t) for t in bending if t.hard or t.preserve}
+        """What of the rows counts of those that no cost draws."""
+        self._weights = {t: leveled(t) for t in bending if t not in self.exact}
         self.least = LEAST if np.isfinite(problem.box.acceleration).any() else 0.0
         """The least dt K in X."""
-        self.levels = {term.level: np.zeros(len(dofs)) for term, _, _ in self.terms}
+        self.levels = {term.level: np.zeros(len(dofs)) for term in self._weights}
         """X (n,) of each level at the last update, in the program's unit."""
 
     def update(self, rate: Array, dt: float) -> None:
         """Find X at ẋ without its feed-forward, K clamp(e) (rows,) of all terms."""
         for diagonal in self.levels.values():
             diagonal[:] = 0.0
-        for term, weight, way in self.terms:
-            time = max(dt, self.least * max(1.0 / term.gain, dt))
-            pulled = _weighed(weight, self._evaluation.error_of(rate, term))
-            self._add(term, time * pulled, way, self.levels[term.level])
+        for term, weight in self._weights.items():
+            self._add(term, weight, rate, dt, self.levels[term.level])
 
-    def scale(self, v: Array, rate: Array, dt: float) -> float:
-        """Return the largest share α of v (n,) at which V does not rise for what no cost draws.
+    def bound(self, terms: Iterable[Term], rate: Array, dt: float) -> Array:
+        """Return X (n,) of terms that no cost draws, at K clamp(e) (rows,) of all terms."""
+        diagonal = np.zeros(len(self._column))
+        for term in terms:
+            self._add(term, self.exact[term], rate, dt, diagonal)
+        return diagonal
 
-        α = bᵀv / (Σ dt K (J v)ᵀB(J v) + vᵀXv), at most 1, with b = Σ JᵀBKe: where the bound of
-        V(q ⊕ α v dt) is least. v = 0 must be inside the limits.
+    def passes(self, terms: Iterable[Term], v: Array, rate: Array, dt: float) -> bool:
+        """Return whether V may rise where some terms get v (n,), what they ask for exactly.
+
+        So it may where Σ dt K (J v)ᵀB(J v) + 3 vᵀXv > 2 bᵀv, with b = Σ JᵀBKe: near a singularity
+        J v = ẋ goes as far as the limits let it, first to one side and then to the other.
         """
-        if not self.looked:
-            return 1.0
-        evaluation, diagonal = self._evaluation, np.zeros(v.size)
-        drawn = curved = 0.0
-        for term, weight, way in self.looked:
-            jacobian = evaluation.jacobian[evaluation.rows_of([term])][:, list(self._column)]
-            pulled = _weighed(weight, evaluation.error_of(rate, term))
-            moved = jacobian @ v
-            drawn += float(pulled @ moved)
+        drawn, curved = 0.0, LONGEST * float(self.bound(terms, rate, dt) @ (v * v))
+        for term in terms:
+            moved = self._moved(term, v)
+            weight = self.exact[term]
+            drawn += float(_weighed(weight, self.evaluation.error_of(rate, term)) @ moved)
             curved += dt * min(term.gain, 1.0 / dt) * float(moved @ _weighed(weight, moved))
-            self._add(term, dt * pulled, way, diagonal)
-        curved += float(diagonal @ (v * v))
-        return min(1.0, max(0.0, drawn) / curved) if curved > 0.0 else 1.0
+        return curved > 2.0 * drawn
 
-    def _add(self, term: Term, pulled: Array, way: Way, diagonal: Array) -> None:
-        """Add the row sums of |C| for B x (rows,) to a diagonal (n,)."""
-        linear, angular, force, torque, distance = term.pull(self._evaluation, pulled)
-        moments = np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
-        self._add_row_sums(np.linalg.norm(moments, axis=1), way, diagonal)
+    def bent(self, term: Term, pulled: Array, u: Array) -> float:
+        """Return uᵀCu at B x (rows,) of a term: −Σ_j u_j m_j · (2 Ω_j + ω_j u_j).
+
+        m_j is the u_j of the class, and Ω_j how fast the dofs before j turn the frame.
+        """
+        way = self.ways[term]
+        (linear, angular, force, _, distance), moments = self._pull(term, pulled)
+        turned, total, along = np.zeros((len(way.dofs), 3)), 0.0, np.zeros(3)
+        for k, (dof, before) in enumerate(zip(way.dofs, way.before, strict=True)):
+            rate = u[self._column[dof]]
+            own = angular[:, dof] * rate if self._hinge[dof] else np.zeros(3)
+            ahead = turned[before] if before >= 0 else np.zeros(3)
+            total -= rate * float(moments[dof] @ (2.0 * ahead + own))
+            turned[k] = ahead + own
+            along += linear[:, dof] * rate
+        if distance < math.inf:
+            total += float(np.linalg.norm(force) / distance * (along @ along))
+        return total
+
+    def _pull(self, term: Term, pulled: Array) -> tuple[Pull, Array]:
+        """Return the pull of a term at B x (rows,), and u_j (nv, 3) of it."""
+        assert isinstance(term, BendingTerm)
+        pull = term.pull(self.evaluation, pulled)
+        linear, angular, force, torque, _ = pull
+        return pull, np.cross(linear.T, force) + 0.5 * np.cross(angular.T, torque)
+
+    def _moved(self, term: Term, v: Array) -> Array:
+        """Return J v (rows,) of a term."""
+        rows = self.evaluation.rows_of([term])
+        return self.evaluation.jacobian[rows][:, list(self._column)] @ v
+
+    def _add(self, term: Term, weight: Array, rate: Array, dt: float, diagonal: Array) -> None:
+        """Add dt or the least of it times the row sums of |C| for B ẋ to a diagonal (n,)."""
+        time = max(dt, self.least * max(1.0 / term.gain, dt))
+        pulled = time * _weighed(weight, self.evaluation.error_of(rate, term))
+        (linear, _, force, _, distance), moments = self._pull(term, pulled)
+        self._add_row_sums(np.linalg.norm(moments, axis=1), self.ways[term], diagonal)
         if distance < math.inf:
             levers = np.linalg.norm(linear, axis=0)[list(self._column)]
             diagonal += np.linalg.norm(force) / distance * levers.sum() * levers

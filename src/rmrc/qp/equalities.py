@@ -1,6 +1,7 @@
 """The equalities E v = f of a step: what the hard tasks ask for, in independent rows."""
 
 import math
+from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import Term
 
 Array = NDArray[np.float64]
 
@@ -50,18 +52,17 @@ class Equalities:
     which directions of a task are meant. The columns of joints that stand still are zero.
     """
 
-    def __init__(self, problem: Problem, evaluation: Evaluation):
+    def __init__(self, problem: Problem, evaluation: Evaluation, terms: Iterable[Term]):
         self._evaluation, self._dofs = evaluation, problem.dofs
         self._all = problem.dofs.size == problem.model.nv
         self._still = np.flatnonzero(problem.box.velocity == 0.0)
         self._entries = []
         first = 0
-        for term in evaluation.terms:
-            if term.hard:
-                directions = weighed_directions(term.weight)
-                rows = slice(first, first + len(directions))
-                self._entries.append((term, evaluation.rows_of([term]), directions, rows))
-                first = rows.stop
+        for term in terms:
+            directions = weighed_directions(term.weight)
+            rows = slice(first, first + len(directions))
+            self._entries.append((term, evaluation.rows_of([term]), directions, rows))
+            first = rows.stop
         self._stack, self._rate = np.zeros((first, problem.dofs.size)), np.zeros(first)
         for term, _, directions, rows in self._entries:
             if term.joint:
@@ -72,6 +73,8 @@ class Equalities:
         """f (r,)."""
         self.inconsistency = 0.0
         """‖(I − U_r U_rᵀ) ẋ‖: what no v gives, for rows contradict one another or reach nothing."""
+        self.least_norm = np.zeros(problem.dofs.size)
+        """The shortest v (n,) with E v = f."""
 
     def update(self, rate: Array) -> None:
         """Find E and f at the present evaluation for ẋ of all terms."""
@@ -95,3 +98,4 @@ class Equalities:
         self.right = self._rate @ left
         missed = self._rate - left @ self.right
         self.inconsistency = math.sqrt(missed.dot(missed))
+        self.least_norm = self.matrix.T @ (self.right / sigma[:rank] ** 2)

@@ -1,6 +1,6 @@
-"""One configuration run by several methods, and in numbers what each of them made of it."""
+"""Configurations run by several methods, and in numbers what each of them made of it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.config.models import Config, Method
 from rmrc.control.loop import Progress, solve
-from rmrc.control.methods import WITHIN_LIMITS, ignored
+from rmrc.control.methods import KEPT_LIMITS, WITH_SOLVER, as_read, ignored, ignored_limits
 from rmrc.errors import ConfigError, RmrcError, unknown_name
 from rmrc.problem.compile import compile
 from rmrc.problem.problem import Problem
@@ -41,12 +41,15 @@ class Entry:
     """One of the runs that are compared."""
 
     name: str
-    """Method, and backend and way of following where there are several, as in `qp daqp`."""
+    """Method, and backend, way of following and configuration where there are several, as in
+    `qp daqp curvature=off`."""
     run: Run
     finished: bool
     """Whether it went on to the end of its duration."""
     keeps_limits: bool
     """Whether the method knows of the limits."""
+    ignored_limits: tuple[str, ...]
+    """The limits that it has no place for nevertheless."""
     ignored_tasks: tuple[str, ...]
     """The tasks that the method has no place for."""
     task: str | None
@@ -68,7 +71,7 @@ class Entry:
             {
                 "name": self.name,
                 "method": summary["method"],
-                "backend": summary["backend"] if summary["method"] == "qp" else None,
+                "backend": summary["backend"] if summary["method"] in WITH_SOLVER else None,
                 "follow": config["follow"],
                 "finished": self.finished,
                 "converged": summary["converged"],
@@ -79,6 +82,7 @@ class Entry:
                 "largest_rate": self._largest_rate(),
                 "limits": summary["limits"],
                 "keeps_limits": self.keeps_limits,
+                "ignored_limits": self.ignored_limits,
                 "ignored_tasks": self.ignored_tasks,
                 "sigma_min": self._sigma_min(),
                 "step_time_us": summary["step_time_us"],
@@ -110,10 +114,11 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """One configuration run by several methods."""
+    """One configuration, or variants of it, run by several methods."""
 
     config: Config
-    """What was run, but for the method, the backend and the way of following."""
+    """What was run, but for the method, the backend and the way of following; of several
+    configurations the first."""
     entries: tuple[Entry, ...]
     """At least one."""
     left_out: dict[str, str]
@@ -168,19 +173,22 @@ class Comparison:
 
 
 def compare(
-    config: Config,
+    config: Config | Mapping[str, Config],
     methods: Sequence[str] = (),
     backends: Sequence[str] = (),
     follow: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Comparison:
-    """Run a configuration by several methods, one after the other.
+    """Run a configuration, or several, by several methods, one after the other.
 
-    A method that cannot run on this problem is left out and says why. An interrupt (Ctrl-C) ends
-    the comparison; what was done so far is returned.
+    A method that cannot run on this problem is left out and says why. What a method does not read,
+    as the curvature of the tasks, it is not run for again. An interrupt (Ctrl-C) ends the
+    comparison; what was done so far is returned.
 
     Args:
-        config: The configuration; its method, backend and way of following are replaced.
+        config: The configuration; its method, backend and way of following are replaced. Or
+            several with the same dt and tasks, by what their runs are called, as
+            ``{"curvature=on": …}``.
         methods: By default all.
         backends: The QP solvers of method qp; by default daqp, proxqp and osqp.
         follow: The ways of following a path; by default the configuration's own.
@@ -188,16 +196,24 @@ def compare(
 
     Raises:
         ConfigError: If none can run: what is wrong with the configuration, or why each cannot.
-        RmrcError: If there is no method, backend or way of following of a name.
+        RmrcError: If there is no method, backend or way of following of a name, no configuration,
+            or if their dt or tasks differ.
     """
-    variants = _variants(config, methods, backends, follow)
+    configs = {"": config} if isinstance(config, Config) else dict(config)
+    if not configs:
+        raise RmrcError("there is no configuration to compare")
+    variants = _variants(configs, methods, backends, follow)
+    config = next(iter(configs.values()))
     entries: list[Entry] = []
     mistakes: dict[str, tuple[Mistake, ...]] = {}
-    interrupted, whole = False, len(variants) * config.steps
-    for number, (name, variant) in enumerate(variants.items()):
+    interrupted, done, whole = False, 0, sum(variant.steps for variant in variants.values())
+    for name, variant in variants.items():
         try:
-            entries.append(_entry(name, variant, _part(progress, number * config.steps, whole)))
-            interrupted = entries[-1].run.manifest["interrupted"]
+            entry = _entry(name, variant, _part(progress, done, whole))
+            if entries:
+                _ensure_alike(entries[0], entry)
+            entries.append(entry)
+            interrupted = entry.run.manifest["interrupted"]
         except ConfigError as error:
             mistakes[name] = error.mistakes
         except KeyboardInterrupt:  # before the first step or after the last
@@ -206,6 +222,7 @@ def compare(
             interrupted = True
         if interrupted:
             break
+        done += variant.steps
     if not entries:
         wrong = [mistake for several in mistakes.values() for mistake in several]
         # What is wrong with the configuration itself comes first: nothing can run before.
@@ -218,7 +235,10 @@ def compare(
 
 
 def _variants(
-    config: Config, methods: Sequence[str], backends: Sequence[str], follow: Sequence[str]
+    configs: Mapping[str, Config],
+    methods: Sequence[str],
+    backends: Sequence[str],
+    follow: Sequence[str],
 ) -> dict[str, Config]:
     """Return the configurations to run, by name, in order and each once."""
     _ensure_known("method", methods, METHODS)
@@ -227,15 +247,37 @@ def _variants(
         create(backend)  # an unknown one says so
     variants = {}
     for method in methods or METHODS:
-        solvers = (backends or tuple(BACKENDS)) if method == "qp" else (config.solver.backend,)
-        for backend, way in product(solvers, follow or (config.follow,)):
-            solver = config.solver.model_copy(update={"backend": backend})
+        solvers = (backends or tuple(BACKENDS)) if method == "qp" else ("",)
+        for backend, way in product(solvers, follow or ("",)):
             name = [method, *[backend] * (len(solvers) > 1), *[way] * (len(follow) > 1)]
-            variants[" ".join(name)] = config.model_copy(
+            read: dict[str, tuple[str, Config]] = {}
+            for label, config in configs.items():
+                solver = config.solver.model_copy(
+                    update={"backend": backend or config.solver.backend}
+                )
+                update = {"method": method, "solver": solver, "follow": way or config.follow}
                 # Methods and backends are the Python engine's, so that their times compare.
-                update={"method": method, "engine": "python", "solver": solver, "follow": way}
-            )
+                variant = config.model_copy(update=update | {"engine": "python"})
+                read.setdefault(repr(as_read(variant).resolved()), (label, variant))
+            for label, variant in read.values():
+                parts = [*name, *[label] * (len(read) > 1)]
+                variants[" ".join(parts)] = variant
     return variants
+
+
+def _ensure_alike(first: Entry, other: Entry) -> None:
+    """Refuse runs whose errors or times cannot be laid over one another."""
+    one, two = ((entry.run.manifest["config"]["dt"], _units(entry)) for entry in (first, other))
+    if one != two:
+        raise RmrcError(
+            f"'{other.name}' has not the dt and the tasks of '{first.name}', and cannot be "
+            "compared with it"
+        )
+
+
+def _units(entry: Entry) -> dict[str, Any]:
+    """Return the units of the errors by task."""
+    return {name: task["units"] for name, task in entry.run.manifest["tasks"].items()}
 
 
 def _ensure_known(kind: str, names: Sequence[str], known: Sequence[str]) -> None:
@@ -257,7 +299,8 @@ def _entry(name: str, config: Config, progress: Progress | None) -> Entry:
         name=name,
         run=run,
         finished=len(run.time) == problem.config.steps,
-        keeps_limits=method == "qp" or method in WITHIN_LIMITS,
+        keeps_limits=method == "qp" or method in KEPT_LIMITS,
+        ignored_limits=tuple(ignored_limits(problem)),
         ignored_tasks=tuple(term.name for term in ignored(problem)),
         task=task,
         deviation=line_deviations(problem, run.q).get(task) if task is not None else None,

@@ -20,8 +20,10 @@ Array = NDArray[np.float64]
 Style = dict[str, Any]
 """`series`, the number of the colour, `dash`, `width` and `layer`."""
 
-SERIES = {method: number for number, method in enumerate(get_args(Method))}
-"""The number of each method's colour, the same in every comparison."""
+COLOURS = 10
+"""How many the style has: more could not be told apart."""
+SERIES = {method: min(number, COLOURS - 1) for number, method in enumerate(get_args(Method))}
+"""The number of each method's colour, the same in every comparison; the last methods share one."""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 FAINT = 1e-8
 """Less than this share of its greatest value is noise in a curve."""
@@ -109,7 +111,7 @@ def _excess(limit: dict[str, Any], with_unit: bool) -> Cell:
 
 
 def _left_out(run: dict[str, Any]) -> Cell:
-    limits = [] if run["keeps_limits"] else ["limits"]
+    limits = run["ignored_limits"] if run["keeps_limits"] else ["limits"]
     return Cell(", ".join([*limits, *run["ignored_tasks"]]) or "–")
 
 
@@ -163,13 +165,14 @@ def write_overlay(comparison: "Comparison", path: str | Path) -> None:
 def _styles(entries: Sequence["Entry"]) -> dict[str, Style]:
     """Return the styles of curves by name: the method's colour, or each its own if there is one.
 
-    Each is thinner than the one below it, so that curves that coincide are all seen.
+    Those of the same colour differ by their dashes. Each is thinner than the one below it, so that
+    curves that coincide are all seen.
     """
     methods = [entry.run.summary["method"] for entry in entries]
     several = len(set(methods)) > 1
     styles = {}
     for number, (entry, method) in enumerate(zip(entries, methods, strict=True)):
-        before = methods[:number].count(method)
+        before = sum(SERIES[each] == SERIES[method] for each in methods[:number])
         styles[entry.name] = {
             "series": SERIES[method] if several else number,
             "dash": DASHES[before % len(DASHES)] if several else DASHES[0],

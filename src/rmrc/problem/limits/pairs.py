@@ -26,6 +26,9 @@ MESHES_RIGHT = 4
 SHOWN = 4
 """Pairs that a notice names."""
 
+BETWEEN = " – "
+"""Stands between the names of two geoms."""
+
 
 def resolve_pairs(
     model: mujoco.MjModel,
@@ -73,7 +76,7 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 def pair_name(model: mujoco.MjModel, first: int, second: int) -> str:
     """Return what a message calls a pair of geoms."""
-    return f"{geom_name(model, first)} – {geom_name(model, second)}"
+    return f"{geom_name(model, first)}{BETWEEN}{geom_name(model, second)}"
 
 
 @dataclass(frozen=True)

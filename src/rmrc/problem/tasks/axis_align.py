@@ -1,6 +1,5 @@
 """The `axis_align` task: an axis of a frame points along a direction of the world."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -35,7 +34,7 @@ class AxisAlignTask(PointingTask):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AxisAlignTerm(PointingTerm):
-    """Rows of an `axis_align` task, by mink's AxisAlignTask: e = Rᵀt − a."""
+    """Rows of an `axis_align` task, by mink's AxisAlignTask: d = Rᵀt."""
 
     target_kind: ClassVar[TargetKind] = "direction"
 
@@ -49,21 +48,16 @@ class AxisAlignTerm(PointingTerm):
         task.set_target(target)
 
     def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
-        """Return the torque t × R pulled."""
+        """Return the torque t × R Mᵀ pulled."""
+        pulled = self.unstretched(pulled, evaluation.error_of(evaluation.error, self))
         turned = self.frame.views(evaluation.data)[1].reshape(3, 3) @ pulled
         velocities = self.frame.velocities(evaluation.model, evaluation.data)
         return Pull(*velocities, np.zeros(3), np.cross(evaluation.target[self.name], turned))
 
-    def feed_forward(
-        self, configuration: mink.Configuration, error: Array, target: Array, twist: Array
-    ) -> Array:
+    def turned(self, pose: mink.SE3, target: Array, twist: Array) -> Array:
         """Return Rᵀ (ω × t) for the direction's angular velocity ω, the twist's second half."""
-        pose = configuration.get_transform_frame_to_world(self.frame.id, self.frame.kind)
         return pose.rotation().as_matrix().T @ np.cross(twist[3:], target)
 
-    def carry(
-        self, configuration: mink.Configuration, target: Array, twists: Sequence[Array]
-    ) -> Array:
+    def carried(self, pose: mink.SE3, target: Array, twist: Array) -> Array:
         """Return Rᵀt × ω for the frame's own angular velocity ω."""
-        pose = configuration.get_transform_frame_to_world(self.frame.id, self.frame.kind)
-        return np.cross(pose.rotation().as_matrix().T @ target, twists[0][3:])
+        return np.cross(pose.rotation().as_matrix().T @ target, twist[3:])

@@ -178,16 +178,9 @@ class Term(ABC):
         """Return ẋ (rows,) at e (rows,) without what J v is at right angles to by definition."""
         return rate
 
-    bends: ClassVar[bool] = False
-    """Whether e bends with the joints and draws the robot to a target: see `way` and `pull`."""
-
-    def way(self, model: mujoco.MjModel) -> "Way":
-        """Return the dofs that move the frame, in their order."""
-        raise NotImplementedError
-
-    def pull(self, evaluation: "Evaluation", pulled: Array) -> "Pull":
-        """Return what the task does to its frame at B ẋ (rows,), at the present evaluation."""
-        raise NotImplementedError
+    def within(self, lower: Array, upper: Array) -> "Term":
+        """Return the term for joints with the ranges [lower, upper] (nv,)."""
+        return self
 
     def without(self, objects: Objects, start: Array) -> "Term":
         """Return the term of the robot alone, at the start configuration (nq,).
@@ -207,6 +200,18 @@ class Term(ABC):
     @abstractmethod
     def evaluator(cls, terms: "Sequence[Term]", evaluation: "Evaluation") -> "Evaluator":
         """Return what evaluates all the terms of this class in a problem."""
+
+
+class BendingTerm(Term):
+    """A term whose e bends with the joints and draws the robot to a target: X has a part of it."""
+
+    @abstractmethod
+    def way(self, model: mujoco.MjModel) -> "Way":
+        """Return the dofs that move the frame, in their order."""
+
+    @abstractmethod
+    def pull(self, evaluation: "Evaluation", pulled: Array) -> "Pull":
+        """Return what the task does to its frame at B ẋ (rows,), at the present evaluation."""
 
 
 class Way(NamedTuple):
@@ -279,6 +284,14 @@ def weight_array(weight: object, rows: int, key: str = "B") -> Array:
     if array.shape[0] != rows:
         raise FieldError(key, f"this task has {rows} rows, and B has {array.shape[0]}")
     return array
+
+
+def square_root(weight: Array) -> Array:
+    """Return S with B = SᵀS: of a diagonal element by element, of a matrix by its eigenvectors."""
+    if weight.ndim == 1:
+        return np.sqrt(weight)
+    values, vectors = np.linalg.eigh(weight)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
 def gain_value(gain: float | str) -> float:

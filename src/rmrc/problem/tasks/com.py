@@ -13,6 +13,7 @@ from rmrc.problem.limits.extents import dofs_of_bodies
 from rmrc.problem.objects import Objects
 from rmrc.problem.tasks.base import (
     Array,
+    BendingTerm,
     FieldError,
     GainedTask,
     HardTask,
@@ -94,7 +95,7 @@ def robot_roots(model: mujoco.MjModel) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ComTerm(Term):
+class ComTerm(BendingTerm):
     """Rows of a `com` task: e = c* − c(q) and J = ∂c/∂q, in the world's axes.
 
     c = Σ m_i c_i / Σ m_i over the subtrees of several robots.
@@ -112,8 +113,6 @@ class ComTerm(Term):
     def clamps(self) -> tuple[tuple[slice, float], ...]:
         """The whole error, where it has a clamp."""
         return ((slice(3), self.clamp),) if self.clamp < np.inf else ()
-
-    bends: ClassVar[bool] = True
 
     def way(self, model: mujoco.MjModel) -> Way:
         """Return the dofs that move a part of the mass, as a tree."""

@@ -16,6 +16,7 @@ from rmrc.problem.frames import FrameHandle, resolve
 from rmrc.problem.lie import inverse_left_jacobian, inverse_multiply, log_motion, pose_of
 from rmrc.problem.tasks.base import (
     Array,
+    BendingTerm,
     GainedTask,
     HardTask,
     Preserve,
@@ -52,8 +53,7 @@ class PoseClamp(Model):
     """Largest error that a pose task acts on; what is beyond is approached at constant speed."""
 
     position: Positive | None = None
-    """m; of a `frame` task by default the length of the robot with acceleration limits, and twice
-    that without, unless it has a floating base."""
+    """m."""
     orientation: Positive | None = None
     """rad."""
 
@@ -118,7 +118,7 @@ class FrameTask(PoseTask):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PoseTerm(Term):
+class PoseTerm(BendingTerm):
     """What the terms on poses share: targets (7,) as wxyz + xyz, errors as a twist."""
 
     target_kind: ClassVar[TargetKind] = "pose"
@@ -176,8 +176,6 @@ class FrameTerm(PoseTerm):
     FrameTask with both signs turned. Along the world's e = [p_t − p_b; φ] with φ = log(R_t R_bᵀ),
     and J = [J_p; Jr⁻¹(φ) J_ω].
     """
-
-    bends: ClassVar[bool] = True
 
     frame: FrameHandle
     axes: Literal["body", "world"]

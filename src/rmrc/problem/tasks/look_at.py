@@ -1,6 +1,5 @@
 """The `look_at` task: an axis of a frame points at a target point."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -37,7 +36,7 @@ class LookAtTask(PointingTask):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LookAtTerm(PointingTerm):
-    """Rows of a `look_at` task, by mink's LookAtTask: e = d̂ − a for the target's direction d̂."""
+    """Rows of a `look_at` task, by mink's LookAtTask: d is the direction d̂ of the target."""
 
     target_kind: ClassVar[TargetKind] = "point"
 
@@ -51,9 +50,10 @@ class LookAtTerm(PointingTerm):
         task.set_target(target)
 
     def pull(self, evaluation: "Evaluation", pulled: Array) -> Pull:
-        """Return (I − d̂ d̂ᵀ) R pulled / n on the frame's origin and the torque d̂ × R pulled."""
+        """Return the force (I − d̂ d̂ᵀ) R Mᵀ pulled / n and the torque d̂ × R Mᵀ pulled."""
         position, matrix = self.frame.views(evaluation.data)
-        turned = matrix.reshape(3, 3) @ pulled
+        error = evaluation.error_of(evaluation.error, self)
+        turned = matrix.reshape(3, 3) @ self.unstretched(pulled, error)
         away = evaluation.target[self.name] - position
         distance = max(float(np.linalg.norm(away)), LEAST_DISTANCE)
         direction = away / distance
@@ -61,25 +61,22 @@ class LookAtTerm(PointingTerm):
         velocities = self.frame.velocities(evaluation.model, evaluation.data)
         return Pull(*velocities, force, np.cross(direction, turned), distance)
 
-    def feed_forward(
-        self, configuration: mink.Configuration, error: Array, target: Array, twist: Array
-    ) -> Array:
+    def turned(self, pose: mink.SE3, target: Array, twist: Array) -> Array:
         """Return (I − d̂ d̂ᵀ) Rᵀ ṗ* / n for the target's velocity ṗ* and its distance n."""
-        pose = configuration.get_transform_frame_to_world(self.frame.id, self.frame.kind)
-        rotation = pose.rotation().as_matrix()
-        toward = rotation.T @ (target - pose.translation())
-        distance = max(float(np.linalg.norm(toward)), 1e-9)
-        direction = toward / distance
-        velocity = rotation.T @ twist[:3]
-        return (velocity - direction * (direction @ velocity)) / distance
+        return self._across(pose, target, pose.rotation().as_matrix().T @ twist[:3])
 
-    def carry(
-        self, configuration: mink.Configuration, target: Array, twists: Sequence[Array]
-    ) -> Array:
+    def carried(self, pose: mink.SE3, target: Array, twist: Array) -> Array:
         """Return d̂ × ω − (I − d̂ d̂ᵀ) v / n for the frame's own velocity v and ω."""
-        pose = configuration.get_transform_frame_to_world(self.frame.id, self.frame.kind)
+        direction, _ = self._sight(pose, target)
+        return np.cross(direction, twist[3:]) - self._across(pose, target, twist[:3])
+
+    def _sight(self, pose: mink.SE3, target: Array) -> tuple[Array, float]:
+        """Return d̂ (3,) and n."""
         toward = pose.inverse().apply(target)
         distance = max(float(np.linalg.norm(toward)), 1e-9)
-        direction, velocity = toward / distance, twists[0][:3]
-        across = velocity - direction * (direction @ velocity)
-        return np.cross(direction, twists[0][3:]) - across / distance
+        return toward / distance, distance
+
+    def _across(self, pose: mink.SE3, target: Array, velocity: Array) -> Array:
+        """Return (I − d̂ d̂ᵀ) v / n."""
+        direction, distance = self._sight(pose, target)
+        return (velocity - direction * (direction @ velocity)) / distance

@@ -50,6 +50,7 @@ class MinkTerm(Term):
     def carry(
         self,
         configuration: mink.Configuration,
+        error: Array,
         target: Array,
         twists: Sequence[Array],
     ) -> Array:
@@ -100,7 +101,8 @@ class _MinkEvaluator:
             elif carried:
                 feed[:] = 0.0
             if carried:
-                feed += term.carry(configuration, target, [_velocity(*each) for each in carried])
+                twists = [_velocity(*each) for each in carried]
+                feed += term.carry(configuration, error, target, twists)
 
 
 def _velocity(carrier: Carrier | None, position: Array, matrix: Array) -> Array:

@@ -1,11 +1,13 @@
 """The `posture` task: the joints go to a target configuration."""
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from rmrc.config.base import JointName, KeyframeName, Number, Vector
 from rmrc.problem.configuration import free_dofs, resolve_configuration
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation
 
 
+_NONE = np.zeros(0, dtype=np.intp)
+
+
 class PostureTask(HardTask, GainedTask, WeightedTask):
     """Bring the joints to a target configuration; a floating base is left alone."""
 
@@ -33,6 +38,8 @@ class PostureTask(HardTask, GainedTask, WeightedTask):
     type: Literal["posture"] = "posture"
     target: KeyframeName | Vector | dict[JointName, Number] | None = None
     """A keyframe, all of qpos, or {joint: value} on the start; by default the start itself."""
+    wrap: bool = False
+    """Whether hinges without a range take the short way round, with errors in (−π, π]."""
 
     def claimed(self, model: mujoco.MjModel) -> list[int]:
         """Return the bodies of the joints that the target names."""
@@ -53,6 +60,7 @@ class PostureTask(HardTask, GainedTask, WeightedTask):
             **self.common(),
             weight=weight,
             target=target,
+            wrapped=_endless(model) if self.wrap else _NONE,
         )
 
 
@@ -62,6 +70,14 @@ class PostureTerm(Term):
 
     target_kind: ClassVar[TargetKind] = "configuration"
     joint: ClassVar[bool] = True
+
+    wrapped: NDArray[np.intp] = field(default_factory=lambda: _NONE)
+    """The dofs whose error is taken in (−π, π]."""
+
+    def within(self, lower: Array, upper: Array) -> "PostureTerm":
+        """Return the term that wraps only what has no range [lower, upper] (nv,) either."""
+        ranged = np.isfinite(lower) | np.isfinite(upper)
+        return replace(self, wrapped=self.wrapped[~ranged[self.wrapped]])
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -78,11 +94,21 @@ class PostureTerm(Term):
         """Evaluate the terms one by one."""
         model, qpos = evaluation.model, evaluation.data.qpos
         entries = [
-            (evaluation.error[evaluation.rows_of([t])], evaluation.target[t.name]) for t in terms
+            (evaluation.error[evaluation.rows_of([t])], evaluation.target[t.name], t.wrapped)
+            for t in terms
+            if isinstance(t, PostureTerm)
         ]
 
         def evaluate() -> None:
-            for error, target in entries:
+            for error, target, wrapped in entries:
                 mujoco.mj_differentiatePos(model, error, 1.0, qpos, target)
+                turns = np.ceil((error[wrapped] - math.pi) / (2.0 * math.pi))
+                error[wrapped] -= 2.0 * math.pi * turns
 
         return evaluate
+
+
+def _endless(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Return the dofs of the hinges that have no range in the model."""
+    endless = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & (model.jnt_limited == 0)
+    return model.jnt_dofadr[endless].astype(np.intp)

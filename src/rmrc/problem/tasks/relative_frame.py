@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 import mink
 import mujoco
@@ -62,8 +62,6 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
     target t in the root's coordinates.
     """
 
-    bends: ClassVar[bool] = True
-
     frame: FrameHandle
     root: FrameHandle
 
@@ -118,13 +116,16 @@ class RelativeFrameTerm(MinkTerm, PoseTerm):
         return self.frame, self.root
 
     def carry(
-        self, configuration: mink.Configuration, target: Array, twists: Sequence[Array]
+        self,
+        configuration: mink.Configuration,
+        error: Array,
+        target: Array,
+        twists: Sequence[Array],
     ) -> Array:
         """Return −Jl⁻¹(e) (V_f − Ad(T_fr) V_r)."""
-        pose = self._pose(configuration)
         of_frame, of_root = twists
-        carried = of_frame - adjoint(inverse(pose)) @ of_root
-        return -inverse_left_jacobian(log_motion(inverse_multiply(pose, target))) @ carried
+        carried = of_frame - adjoint(inverse(self._pose(configuration))) @ of_root
+        return -inverse_left_jacobian(error) @ carried
 
     def _pose(self, configuration: mink.Configuration) -> Array:
         """Return T_rf (7,), the frame in the coordinates of the root."""
