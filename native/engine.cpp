@@ -69,7 +69,8 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       exact_(constants_.dofs.size()),
       v_previous_(constants_.dofs.size()),
       a_previous_(constants_.dofs.size()),
-      planned_(constants_.dofs.size()) {
+      planned_(constants_.dofs.size()),
+      least_norm_(constants_.dofs.size()) {
   brake_.resize(v_.size());
 }
 

@@ -263,6 +263,7 @@ class Engine {
   std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
   std::vector<double> planned_;  // what braking leaves of the velocity (n,)
+  std::vector<double> least_norm_;  // least v that holds E v = f (n,)
 };
 
 }  // namespace rmrc
