@@ -73,6 +73,12 @@ double longest(const JointLimits& limits, const double* v, double dt) {
   return std::max(steps, tiny);
 }
 
+// Return how far a joint may go on from q (nq,) with the sign of v.
+double room_ahead(const JointLimits& limits, std::size_t i, double v, const double* q) {
+  const double at = q[limits.coordinate[i]];
+  return v > 0.0 ? limits.upper[i] - at : at - limits.lower[i];
+}
+
 // Return by how much |v| of a joint falls in each step where the slowest takes so many, once it has
 // gone on for a time from q.
 double slowed(const JointLimits& limits, std::size_t i, double v, double dt, const double* q,
@@ -81,8 +87,7 @@ double slowed(const JointLimits& limits, std::size_t i, double v, double dt, con
   if (!std::isfinite(most)) return most;
   const double change = speed / steps;
   if (q == nullptr) return change;
-  const double at = q[limits.coordinate[i]];
-  const double room = v > 0.0 ? limits.upper[i] - at : at - limits.lower[i];
+  const double room = room_ahead(limits, i, v, q);
   const double way = 2.0 * (room - speed * ahead) + speed * dt;
   return std::max(change, way > 0.0 ? std::min(speed * speed * dt / way, most) : most);
 }
@@ -101,7 +106,11 @@ void braking(const JointLimits& limits, const double* v, double dt, const double
 void braked(const JointLimits& limits, const double* v, double dt, const double* q, double* left) {
   const double most = longest(limits, v, dt);
   for (std::size_t i = 0; i < limits.acceleration.size(); ++i) {
-    const double change = slowed(limits, i, v[i], dt, q, 0.0, most);
+    double change = slowed(limits, i, v[i], dt, q, 0.0, most);
+    const double room = room_ahead(limits, i, v[i], q), a = limits.acceleration[i];
+    if (room >= 0.0 && std::isfinite(room) && std::isfinite(a)) {
+      change = std::max(change, std::min(std::abs(v[i]) - stoppable(room, a, dt), a * dt));
+    }
     left[i] = v[i] - std::min(std::max(v[i], -change), change);
   }
 }

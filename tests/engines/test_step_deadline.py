@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rmrc
+from braking import left_of
 from models import REPOSITORY, config
 from rmrc import Controller, Problem, Status
 from rmrc.control.check import check

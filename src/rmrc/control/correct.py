@@ -48,7 +48,10 @@ def shortfall_of(
     can then slide, and not only stop. Where the distance there is one of other points, as of
     another corner, their row is what is missing, if it may `foresee`.
     """
-    spare, found = SPARE * resolution, Shortfall([np.zeros(block.near.ids.size) for block in blocks])
+    spare, found = (
+        SPARE * resolution,
+        Shortfall([np.zeros(block.near.ids.size) for block in blocks]),
+    )
     for end, time in ends:
         for block, more in zip(blocks, found.raised, strict=True):
             near = block.near

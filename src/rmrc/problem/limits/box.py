@@ -66,9 +66,23 @@ def braking(
 
 
 def braked(box: Box, v: Array, dt: float, q: Array) -> Array:
-    """Return what is left of v (n,), which has led to q (nq,), after a step of braking."""
+    """Return what is left of v (n,), which has led to q (nq,), after a step of braking.
+
+    As `BoxLimit` has it, a joint stays able to stop in its range whatever the next steps last.
+    """
     _, change = braking(box, v, dt, q)
+    room = np.where(v > 0.0, box.upper - q[box.coordinate], q[box.coordinate] - box.lower)
+    stops = (room >= 0.0) & np.isfinite(room) & np.isfinite(box.acceleration)
+    speed, most = np.abs(v[stops]), box.acceleration[stops] * dt
+    shed = speed - stopping_speed(room[stops], box.acceleration[stops], dt)
+    change[stops] = np.maximum(change[stops], np.minimum(shed, most))
     return v - np.clip(v, -change, change)
+
+
+def stopping_speed(room: Array, acceleration: Array, dt: float) -> Array:
+    """Return √(a²dt² + 2a r) − a dt for the room r ≥ 0, so that it is exact for a small one."""
+    change, reach = acceleration * dt, 2.0 * acceleration * room
+    return reach / (np.sqrt(change * change + reach) + change)
 
 
 class BoxLimit:
@@ -156,15 +170,12 @@ class BoxLimit:
     def _make_stoppable(self, dt: float) -> None:
         """Clip the ends into the velocities from which each joint can stop in the room it has.
 
-        √(a²dt² + 2a r) − a dt for the room r, written so that it is exact for a small one. A joint
-        outside its range on that side has no room to stop in: the position limit alone says how
-        fast it comes back.
+        A joint outside its range on that side has no room to stop in: the position limit alone says
+        how fast it comes back.
         """
         ends, a = self._ends, self._deceleration
         room = (self._outward * self._room)[self._stopping]
-        change = a * dt
-        reach = 2.0 * a * np.maximum(room, 0.0)
-        speed = reach / (np.sqrt(change * change + reach) + change)
+        speed = stopping_speed(np.maximum(room, 0.0), a, dt)
         self._stop[self._stopping] = np.where(room >= 0.0, speed, np.inf)
         np.maximum(ends, -self._stop[0], out=ends)
         np.minimum(ends, self._stop[1], out=ends)
