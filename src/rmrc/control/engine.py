@@ -441,7 +441,7 @@ class PythonEngine:
         return solution
 
     def _renew_rows(self, solution: Solution, dt: float) -> None:
-        """Write what is foreseen into the program, and have the multipliers of a solution fit it."""
+        """Write what is foreseen into the program; the multipliers of a solution follow."""
         self._rows.renew_kept(dt)
         self._write_rows(self._assembly.qp.E, self._assembly.qp.f)
         solution.row_multiplier = self._rows.refitted(solution.row_multiplier)

@@ -28,7 +28,7 @@ class Contacts:
         self.apart = apart
         """The way (p,) that the nearest points do not jump where they only slide, m."""
         self.points = np.zeros((len(geoms), KEPT + 1, 10))
-        """The points of the first and of the second geom, the normal in the base's axes, and whether
+        """The points of the first and of the second geom, the normal in the base's axes, and 1 if
         they are foreseen: nearest not yet, but where a command leads."""
         self.count = np.zeros(len(geoms), dtype=np.intp)
         """How many there are (p,)."""
