@@ -29,7 +29,7 @@ class Contacts:
         """The way (p,) that the nearest points do not jump where they only slide, m."""
         self.points = np.zeros((len(geoms), KEPT + 2, 10))
         """The points of the first and of the second geom, the normal in the base's axes, and 1 if
-        they are foreseen: nearest not yet, but where a command leads. Those stand in the last place,
+        they are foreseen: nearest not yet, but where a command leads. The last place is theirs,
         for one call of `kept`."""
         self.count = np.zeros(len(geoms), dtype=np.intp)
         """How many there are (p,)."""
