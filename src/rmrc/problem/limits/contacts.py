@@ -65,7 +65,7 @@ class Contacts:
         """
         found = []
         last = self.points[pair, -1]
-        ahead, last[9] = [last] if last[9] > 0.0 else [], 0.0
+        ahead, last[9] = [last] * (last[9] > 0.0), 0.0
         for points in [*self.points[pair, 1 : max(int(self.count[pair]), 1)], *ahead]:
             foreseen = points is last
             segment = self._segment(data, pair, points)
