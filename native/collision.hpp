@@ -30,7 +30,7 @@ struct PairArrays {
   double *bound, *threshold, *distance, *segments, *normals;
   std::uint8_t *active, *measured;
   double *room, *travel;
-  double* contacts;                                 // (p, 5, 10)
+  double* contacts;                                 // (p, 4, 10)
   std::int64_t* contact_count;                      // (p,)
   double *position, *quaternion, *seen_position, *seen_quaternion;
 };
@@ -48,7 +48,7 @@ class Collision final : public Barrier {
 
   void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
   void kept(const Kinematics& now, Near& near) override;
-  int most_kept() const override { return (most_contacts + 1) * a_.pairs; }
+  int most_kept() const override { return most_contacts * a_.pairs; }
   bool foresee(const Kinematics& end, int id) override;
   void forget() override;
   double distance(const Kinematics& at, int id) const override;
@@ -73,7 +73,7 @@ class Collision final : public Barrier {
   static constexpr double farthest = 1e10;  // rmrc.problem.limits.collision.FARTHEST
   static constexpr int most_contacts = 3;  // rmrc.problem.limits.contacts.KEPT
   static constexpr int contact = 10;       // numbers of one contact, and of those of a pair
-  static constexpr int contacts_of_pair = (most_contacts + 2) * contact;
+  static constexpr int contacts_of_pair = (most_contacts + 1) * contact;
 
   template <class Action>
   void each_active(Action action) const;

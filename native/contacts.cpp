@@ -20,13 +20,9 @@ double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
 
 // Write the points of a pair that were nearest before, and are near still, or are foreseen.
 void Collision::write_contacts(const Kinematics& now, int id, Near& near) const {
-  double* first = a_.contacts + static_cast<long>(contacts_of_pair) * id;
-  double* last = first + contact * (most_contacts + 1);
-  const bool ahead = std::exchange(last[contact - 1], 0.0) > 0.0;
-  const int count = static_cast<int>(a_.contact_count[id]);
-  for (int k = 1; k < count + (ahead ? 1 : 0); ++k) {
-    const bool foreseen = k == count;
-    const double* points = foreseen ? last : first + contact * k;
+  for (int k = 1; k < a_.contact_count[id]; ++k) {
+    double* points = a_.contacts + static_cast<long>(contacts_of_pair) * id + contact * k;
+    const bool foreseen = std::exchange(points[contact - 1], 0.0) > 0.0;
     double segment[6], normal[3], flat[3];
     contact_segment(now, id, points, segment);
     for (int i = 0; i < 3; ++i) normal[i] = segment[3 + i] - segment[i];
@@ -50,7 +46,7 @@ void Collision::forget() { std::fill_n(a_.contact_count, a_.pairs, 0); }
 
 // Keep the nearest points where a command leads, if they have jumped there.
 bool Collision::foresee(const Kinematics& end, int id) {
-  double* first = a_.contacts + static_cast<long>(contacts_of_pair) * id;
+  const double* first = a_.contacts + static_cast<long>(contacts_of_pair) * id;
   double segment[6], normal[3], points[contact];
   const double distance = signed_distance(mujoco_, end, pair(id), farthest, segment);
   for (int i = 0; i < 3; ++i) normal[i] = segment[3 + i] - segment[i];
@@ -60,7 +56,7 @@ bool Collision::foresee(const Kinematics& end, int id) {
   contact_at(end, id, segment, normal, points);
   if (a_.contact_count[id] == 0 || is_same(id, points, first)) return false;
   points[contact - 1] = 1.0;
-  std::copy_n(points, contact, first + contact * (most_contacts + 1));
+  keep_contact(end, id, points);
   return true;
 }
 

@@ -219,7 +219,7 @@ class BoundRows {
     a.room = fields.doubles("room", 1);
     a.travel = fields.doubles("travel", width);
     a.apart = fields.doubles("apart", p);
-    a.contacts = fields.doubles("contacts", 50 * p);
+    a.contacts = fields.doubles("contacts", 40 * p);
     a.contact_count = fields.integers("contact_count", p);
     a.position = fields.doubles("position", 3 * bodies);
     a.quaternion = fields.doubles("quaternion", 4 * bodies);

@@ -142,7 +142,7 @@ struct Fixture {
         rmrc::ProgramArrays{H.data(), g, lb, ub, rate, &added, inertia.data(), a_previous},
         rmrc::Constants{{0, 1, 2, 3, 4}, constant, 1.0, 1e-3, 1e-4},
         rmrc::JointLimits{{0, 1, 2, 3, 4}, every(-2.0), every(2.0), 0.95, every(fastest),
-                          every(strongest), every(jerk), every(infinity)},
+                          every(strongest), every(jerk), every(infinity), {}},
         1000);
     add_tasks();
     std::vector<rmrc::TaskedRow> tasked;
@@ -221,7 +221,7 @@ void expect(bool holds, const char* what, int step) {
 
 // The same arm with a pair of geoms, a plane, and a limit of its end's speed.
 struct LimitedFixture : Fixture {
-  static constexpr int capacity = 9;
+  static constexpr int capacity = 8;
   Arm own;
   double matrix[capacity * joints], lower[capacity], upper[capacity], multiplier[capacity];
   std::int64_t ids[capacity];
@@ -232,7 +232,7 @@ struct LimitedFixture : Fixture {
   double size[6] = {radius, 0, 0, radius, 0, 0}, radii[1] = {2.0 * radius};
   double thickness[1] = {radius}, levers[joints], side[joints], reach[2] = {0.0, 2.0 * radius};
   double spread[1] = {0.0}, width[1] = {2.0 * radius}, sign[1] = {1.0}, carries[joints] = {};
-  double apart[1] = {radius}, contacts[50] = {};
+  double apart[1] = {radius}, contacts[40] = {};
   std::int64_t contact_count[1] = {};
   double precision[2] = {1e-9, 1e-3}, moves[joints], bound[1] = {-infinity}, threshold[1] = {0.1}, between[1] = {};
   double segments[6] = {}, normals[3] = {}, room[1] = {-infinity}, travel[joints] = {};

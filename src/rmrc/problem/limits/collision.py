@@ -144,7 +144,7 @@ class Collision(Barrier):
         """Whether each pair was measured at the poses of now."""
         self._segments = np.zeros((count, 6))
         self._normals = np.zeros((count, 3))
-        self.most_kept = (KEPT + 1) * count
+        self.most_kept = KEPT * count
         self._contacts = Contacts(spec.geoms, self._turning.base, apart)
         self._travel = np.zeros(model.nv + 6 * model.nmocap)
         self._travel_now = np.zeros_like(self._travel)

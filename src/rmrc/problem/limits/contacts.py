@@ -27,10 +27,9 @@ class Contacts:
         self._geoms, self._base = geoms, base
         self.apart = apart
         """The way (p,) that the nearest points do not jump where they only slide, m."""
-        self.points = np.zeros((len(geoms), KEPT + 2, 10))
+        self.points = np.zeros((len(geoms), KEPT + 1, 10))
         """The points of the first and of the second geom, the normal in the base's axes, and 1 if
-        they are foreseen: nearest not yet, but where a command leads. The last place is theirs,
-        for one call of `kept`."""
+        they are foreseen: nearest not yet, but where a command leads."""
         self.count = np.zeros(len(geoms), dtype=np.intp)
         """How many there are (p,)."""
 
@@ -55,7 +54,7 @@ class Contacts:
         if not self.count[pair] or self._same(pair, then, self.points[pair, 0]):
             return False
         then[9] = 1.0
-        self.points[pair, -1] = then
+        self._keep(data, pair, then)
         return True
 
     def kept(self, data: mujoco.MjData, pair: int) -> list[tuple[Array, Array, float]]:
@@ -64,10 +63,8 @@ class Contacts:
         What was foreseen is so no more.
         """
         found = []
-        last = self.points[pair, -1]
-        ahead, last[9] = [last] * (last[9] > 0.0), 0.0
-        for points in [*self.points[pair, 1 : max(int(self.count[pair]), 1)], *ahead]:
-            foreseen = points is last
+        for points in self.points[pair, 1 : max(int(self.count[pair]), 1)]:
+            foreseen, points[9] = points[9] > 0.0, 0.0
             segment = self._segment(data, pair, points)
             normal = segment[3:] - segment[:3]
             distance = float(np.sqrt((normal * normal).sum()))
@@ -109,7 +106,7 @@ class Contacts:
                 return place
         if count <= KEPT:
             return count
-        segments = [self._segment(data, pair, kept) for kept in points[1:-1]]
+        segments = [self._segment(data, pair, kept) for kept in points[1:]]
         return 1 + int(np.argmax([((s[3:] - s[:3]) ** 2).sum() for s in segments]))
 
     def _segment(self, data: mujoco.MjData, pair: int, points: Array) -> Array:
