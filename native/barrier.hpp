@@ -37,10 +37,6 @@ class Barrier {
   /// Return how many there can be.
   virtual int most_kept() const { return 0; }
 
-  /// Look at an entry where a command leads, for `kept` at the present kinematics; return whether
-  /// it gives another function then, that holds there, too.
-  virtual bool foresee(const Kinematics&, int) { return false; }
-
   /// Forget what such functions are of.
   virtual void forget() {}
 

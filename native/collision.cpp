@@ -11,6 +11,8 @@ namespace rmrc {
 
 namespace {
 
+constexpr double farthest = 1e10;  // rmrc.problem.limits.collision.FARTHEST
+
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 double norm3(const double* x) { return std::sqrt(dot3(x, x)); }

@@ -30,7 +30,7 @@ struct PairArrays {
   double *bound, *threshold, *distance, *segments, *normals;
   std::uint8_t *active, *measured;
   double *room, *travel;
-  double* contacts;                                 // (p, 4, 10)
+  double* contacts;                                 // (p, 4, 9)
   std::int64_t* contact_count;                      // (p,)
   double *position, *quaternion, *seen_position, *seen_quaternion;
 };
@@ -49,7 +49,6 @@ class Collision final : public Barrier {
   void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
   void kept(const Kinematics& now, Near& near) override;
   int most_kept() const override { return most_contacts * a_.pairs; }
-  bool foresee(const Kinematics& end, int id) override;
   void forget() override;
   double distance(const Kinematics& at, int id) const override;
   double reach(int id, const double* step, double dt) const override;
@@ -69,10 +68,9 @@ class Collision final : public Barrier {
   double bend(int id, double reach, const double* speed, const double* change) const;
 
  private:
-  static constexpr double leave = 1.2;      // rmrc.problem.limits.collision.LEAVE
-  static constexpr double farthest = 1e10;  // rmrc.problem.limits.collision.FARTHEST
+  static constexpr double leave = 1.2;     // rmrc.problem.limits.collision.LEAVE
   static constexpr int most_contacts = 3;  // rmrc.problem.limits.contacts.KEPT
-  static constexpr int contact = 10;       // numbers of one contact, and of those of a pair
+  static constexpr int contact = 9;        // numbers of one contact, and of those of a pair
   static constexpr int contacts_of_pair = (most_contacts + 1) * contact;
 
   template <class Action>
@@ -96,10 +94,7 @@ class Collision final : public Barrier {
 
   void see_contact(const Kinematics& now, int id);
   void write_contacts(const Kinematics& now, int id, Near& near) const;
-  void contact_at(const Kinematics& at, int id, const double* segment, const double* normal,
-                  double* points) const;
-  void keep_contact(const Kinematics& at, int id, const double* points);
-  int contact_place(const Kinematics& at, int id, const double* points) const;
+  int contact_place(const Kinematics& now, int id) const;
   void contact_segment(const Kinematics& now, int id, const double* points, double* segment) const;
   bool is_same(int id, const double* one, const double* other) const;
   GeomPair pair(int id) const;

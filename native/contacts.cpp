@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include "collision.hpp"
 #include "lie.hpp"
@@ -18,11 +17,10 @@ double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
 
 }  // namespace
 
-// Write the points of a pair that were nearest before, and are near still, or are foreseen.
+// Write the points of a pair that were nearest before, and are near still.
 void Collision::write_contacts(const Kinematics& now, int id, Near& near) const {
   for (int k = 1; k < a_.contact_count[id]; ++k) {
-    double* points = a_.contacts + static_cast<long>(contacts_of_pair) * id + contact * k;
-    const bool foreseen = std::exchange(points[contact - 1], 0.0) > 0.0;
+    const double* points = a_.contacts + static_cast<long>(contacts_of_pair) * id + contact * k;
     double segment[6], normal[3], flat[3];
     contact_segment(now, id, points, segment);
     for (int i = 0; i < 3; ++i) normal[i] = segment[3 + i] - segment[i];
@@ -31,7 +29,7 @@ void Collision::write_contacts(const Kinematics& now, int id, Near& near) const 
     rotate(now.geom_xmat + 9 * a_.base[id], points + 6, flat);
     const double height = dot3(flat, normal);
     const double slid = std::sqrt(std::max(distance * distance - height * height, 0.0));
-    if (height > 0.0 && (foreseen || slid <= aside * distance)) {
+    if (height > 0.0 && slid <= aside * distance) {
       std::copy_n(flat, 3, normal);
       distance = height;
     } else {
@@ -44,29 +42,25 @@ void Collision::write_contacts(const Kinematics& now, int id, Near& near) const 
 
 void Collision::forget() { std::fill_n(a_.contact_count, a_.pairs, 0); }
 
-// Keep the nearest points where a command leads, if they have jumped there.
-bool Collision::foresee(const Kinematics& end, int id) {
-  const double* first = a_.contacts + static_cast<long>(contacts_of_pair) * id;
-  double segment[6], normal[3], points[contact];
-  const double distance = signed_distance(mujoco_, end, pair(id), farthest, segment);
-  for (int i = 0; i < 3; ++i) normal[i] = segment[3 + i] - segment[i];
-  const double length = norm3(normal);
-  if (!(length > a_.precision[0])) return false;
-  for (double& value : normal) value /= std::copysign(length, distance);
-  contact_at(end, id, segment, normal, points);
-  if (a_.contact_count[id] == 0 || is_same(id, points, first)) return false;
-  points[contact - 1] = 1.0;
-  keep_contact(end, id, points);
-  return true;
-}
-
 // Take the nearest points of a pair now, and keep those of before where they have jumped.
 void Collision::see_contact(const Kinematics& now, int id) {
   double* first = a_.contacts + static_cast<long>(contacts_of_pair) * id;
-  double local[contact];
-  contact_at(now, id, a_.segments + 6 * id, a_.normals + 3 * id, local);
-  if (a_.contact_count[id] > 0 && !is_same(id, local, first)) keep_contact(now, id, first);
   int count = static_cast<int>(a_.contact_count[id]);
+  double local[contact];
+  for (int side = 0; side < 2; ++side) {
+    const std::int64_t geom = a_.geoms[2 * id + side];
+    double arm[3];
+    for (int i = 0; i < 3; ++i) {
+      arm[i] = a_.segments[6 * id + 3 * side + i] - now.geom_xpos[3 * geom + i];
+    }
+    rotate_back(now.geom_xmat + 9 * geom, arm, local + 3 * side);
+  }
+  rotate_back(now.geom_xmat + 9 * a_.base[id], a_.normals + 3 * id, local + 6);
+  if (count > 0 && !is_same(id, local, first)) {
+    const int place = contact_place(now, id);
+    std::copy_n(first, contact, first + contact * place);
+    count = std::max(count, place + 1);
+  }
   for (int place = 1; place < count;) {
     if (is_same(id, local, first + contact * place)) {
       --count;
@@ -79,40 +73,19 @@ void Collision::see_contact(const Kinematics& now, int id) {
   a_.contact_count[id] = std::max(count, 1);
 }
 
-// Write points with their normal as they stand in their geoms.
-void Collision::contact_at(const Kinematics& at, int id, const double* segment,
-                           const double* normal, double* points) const {
-  for (int side = 0; side < 2; ++side) {
-    const std::int64_t geom = a_.geoms[2 * id + side];
-    double arm[3];
-    for (int i = 0; i < 3; ++i) arm[i] = segment[3 * side + i] - at.geom_xpos[3 * geom + i];
-    rotate_back(at.geom_xmat + 9 * geom, arm, points + 3 * side);
-  }
-  rotate_back(at.geom_xmat + 9 * a_.base[id], normal, points + 6);
-  points[contact - 1] = 0.0;
-}
-
-// Keep points of a pair beside the nearest.
-void Collision::keep_contact(const Kinematics& at, int id, const double* points) {
-  const int place = contact_place(at, id, points);
-  std::copy_n(points, contact,
-              a_.contacts + static_cast<long>(contacts_of_pair) * id + contact * place);
-  a_.contact_count[id] = std::max<std::int64_t>(a_.contact_count[id], place + 1);
-}
-
-// Return where to keep points of a pair: for the same, or for the farthest.
-int Collision::contact_place(const Kinematics& at, int id, const double* points) const {
+// Return where to keep the nearest points of before: for the same, or for the farthest.
+int Collision::contact_place(const Kinematics& now, int id) const {
   const double* first = a_.contacts + static_cast<long>(contacts_of_pair) * id;
   const int count = static_cast<int>(a_.contact_count[id]);
   for (int place = 1; place < count; ++place) {
-    if (is_same(id, points, first + contact * place)) return place;
+    if (is_same(id, first, first + contact * place)) return place;
   }
   if (count <= most_contacts) return count;
   int farthest_place = 1;
   double most = -1.0;
   for (int place = 1; place < count; ++place) {
     double segment[6], between[3];
-    contact_segment(at, id, first + contact * place, segment);
+    contact_segment(now, id, first + contact * place, segment);
     for (int i = 0; i < 3; ++i) between[i] = segment[3 + i] - segment[i];
     const double square = dot3(between, between);
     if (square <= most) continue;

@@ -15,38 +15,32 @@ constexpr double fastest_rate = 1e6;
 
 }  // namespace
 
-void Correction::begin() {
-  std::fill_n(raised_.begin(), rows_.count(), 0.0);
-  jumped_ = missing_ = false;
-}
+void Correction::begin() { std::fill_n(raised_.begin(), rows_.count(), 0.0); }
 
-void Correction::see(const Kinematics& end, double time, bool foresee) {
+void Correction::see(const Kinematics& end, double time) {
   const double aside = spare * rows_.resolution();
   for (const Block& block : rows_.blocks()) {
     for (int row = block.first; row < block.first + block.count; ++row) {
-      const int id = static_cast<int>(rows_.arrays().ids[row]);
-      const double after = block.barrier->distance(end, id);
+      const double after = block.barrier->distance(end, static_cast<int>(rows_.arrays().ids[row]));
       const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + aside - after;
       if (!(shortfall > aside)) continue;
-      if (foresee && block.barrier->foresee(end, id)) {
-        jumped_ = true;
-        continue;
-      }
-      missing_ = true;
       raised_[row] = std::max(raised_[row], enough / time * shortfall);
     }
   }
 }
 
-void Correction::raise_rows(const double* lb, const double* ub, double* lower) const {
+bool Correction::raise_rows(const double* lb, const double* ub, double* lower) const {
+  bool fell_short = false;
   for (const Block& block : rows_.blocks()) {
     const auto first = raised_.begin() + block.first;
     if (std::all_of(first, first + block.count, [](double more) { return more == 0.0; })) continue;
+    fell_short = true;
     for (int row = block.first; row < block.first + block.count; ++row) {
       const double most = fastest(row, lb, ub);
       lower[row] = std::min(lower[row] + raised_[row], most - inside * std::abs(most));
     }
   }
+  return fell_short;
 }
 
 // Return the most that the box alone allows of a row; 0 · ∞ would be no number.

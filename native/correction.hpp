@@ -15,22 +15,16 @@ class Correction {
   /// Begin with nothing missing.
   void begin();
 
-  /// See what rows fall short of at an end that is as far away as v goes in a time, s; where the
-  /// distance there is one of other points, have their row, if it may `foresee`.
-  void see(const Kinematics& end, double time, bool foresee);
+  /// See what rows fall short of at an end that is as far away as v goes in a time, s.
+  void see(const Kinematics& end, double time);
 
-  /// Whether barriers have other functions that hold there; and whether anything is missing.
-  bool jumped() const { return jumped_; }
-  bool any() const { return jumped_ || missing_; }
-
-  /// Raise lo of the rows (count,) by what is missing, inside a box lb, ub (n,).
-  void raise_rows(const double* lb, const double* ub, double* lower) const;
+  /// Raise lo of the rows (count,) by it, inside a box lb, ub (n,); return whether any fell short.
+  bool raise_rows(const double* lb, const double* ub, double* lower) const;
 
  private:
   double fastest(int row, const double* lb, const double* ub) const;
 
   const Rows& rows_;
-  bool jumped_ = false, missing_ = false;
   std::vector<double> raised_;  // what lo of each row rises by, rad/s or m/s
 };
 

@@ -213,7 +213,6 @@ class Engine {
   bool misses() const;
   bool is_forced() const;
   void move_limits();
-  void renew_rows(double dt);
 
   // What becomes of a program that is solved, but for the vectors.
   struct Outcome {

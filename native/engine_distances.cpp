@@ -24,21 +24,17 @@ void Engine::at_distance(double dt) {
   const bool relaxed = relaxed_;
   keep_distances(dt);
   if (share_ == 1.0 || boxed_ || !in_time()) return;
-  // What has been relaxed goes with the rows as they are.
   correction_->begin();
-  const double end = shortening_->go_to_end(whole_.data(), dt);
-  correction_->see(shortening_->there(), end, !relaxed);
+  correction_->see(shortening_->there(), shortening_->go_to_end(whole_.data(), dt));
   const double rest = shortening_->go_to_rest(whole_.data(), dt);
-  if (rest > 0.0) correction_->see(shortening_->there(), rest, !relaxed);
-  if (!correction_->any()) return;
+  if (rest > 0.0) correction_->see(shortening_->there(), rest);
+  move_limits();
+  if (!correction_->raise_rows(program_.lb, program_.ub, lower_.data())) return;
   const Outcome first{residuals_, iterations_, share_, relaxed_};
   double* y = limits_->arrays().multiplier;
   shortened_ = v_;
   first_z_ = z_;
   std::copy_n(y, limits_->count(), first_y_.begin());
-  if (correction_->jumped()) renew_rows(dt);
-  move_limits();
-  correction_->raise_rows(program_.lb, program_.ub, lower_.data());
   if (equalities_ != nullptr) {
     std::copy_n(equalities_->arrays().multiplier, equalities_->count(), first_w_.begin());
   }
@@ -57,13 +53,6 @@ void Engine::at_distance(double dt) {
   iterations_ = first.iterations;
   share_ = first.share;
   relaxed_ = first.relaxed;
-}
-
-// Write what is foreseen into the program, and have the multipliers of the first solution fit it.
-void Engine::renew_rows(double dt) {
-  limits_->renew_kept(dt);
-  moved_ = false;
-  std::fill(first_y_.begin() + limits_->own_count(), first_y_.end(), 0.0);
 }
 
 // Shorten v towards the brake where a distance would be passed at the end of the step.

@@ -78,14 +78,8 @@ void Rows::update(const double* lb, const double* ub, double dt) {
   slides_.stretch(travel_.data(), dt);
   for (std::size_t k = 0; k < blocks_.size(); ++k) {
     add_block(static_cast<std::int64_t>(k), dt);
+    add_kept(static_cast<std::int64_t>(k), dt);
   }
-  own_count_ = count_;
-  renew_kept(dt);
-}
-
-void Rows::renew_kept(double dt) {
-  count_ = own_count_;
-  for (std::size_t k = 0; k < kept_blocks_.size(); ++k) add_kept(static_cast<std::int64_t>(k), dt);
 }
 
 void Rows::forget() {
@@ -136,8 +130,7 @@ void Rows::add_kept(std::int64_t which, double dt) {
   Near near = free();
   near.count = 0;
   if (blocks_[which].count > 0) block.barrier->kept(now_, near);
-  const auto after = static_cast<std::int64_t>(blocks_.size());
-  add_rows(block, near.count, (after + which + 1) << 32, dt);
+  add_rows(block, near.count, ((which + 1) << 32) + (std::int64_t{1} << 31), dt);
 }
 
 // Return where the next rows can stand.

@@ -44,9 +44,6 @@ class Rows {
   /// Write the rows at the present kinematics for a step of dt inside a box lb, ub (n,).
   void update(const double* lb, const double* ub, double dt);
 
-  /// Write the rows again that bound distances from above, once some are foreseen.
-  void renew_kept(double dt);
-
   /// Forget what barriers know of the steps before that is more than where things are.
   void forget();
 
@@ -58,9 +55,6 @@ class Rows {
 
   /// How many of the first rows are of speeds, three for each vector.
   int speed_count() const { return speed_count_; }
-
-  /// How many of the first rows are of speeds and of what is near.
-  int own_count() const { return own_count_; }
   const RowArrays& arrays() const { return arrays_; }
   const Kinematics& now() const { return now_; }
   const MuJoCo& mujoco() const { return mujoco_; }
@@ -106,7 +100,7 @@ class Rows {
   std::vector<SpeedRows> speeds_;
   std::vector<std::unique_ptr<Barrier>> barriers_;
   std::vector<Block> blocks_, kept_blocks_;
-  int count_ = 0, own_count_ = 0;
+  int count_ = 0;
   bool passed_ = false;
   std::vector<double> travel_, low_, high_;  // (nv,), (n,)
   std::vector<double> before_, brake_;       // v of the dofs (n,), and what braking leaves of it

@@ -219,7 +219,7 @@ class BoundRows {
     a.room = fields.doubles("room", 1);
     a.travel = fields.doubles("travel", width);
     a.apart = fields.doubles("apart", p);
-    a.contacts = fields.doubles("contacts", 40 * p);
+    a.contacts = fields.doubles("contacts", 36 * p);
     a.contact_count = fields.integers("contact_count", p);
     a.position = fields.doubles("position", 3 * bodies);
     a.quaternion = fields.doubles("quaternion", 4 * bodies);
@@ -234,7 +234,6 @@ class BoundRows {
     for (std::size_t k = 0; k < p; ++k) {
       require_index(a.base[k], static_cast<std::int64_t>(counts_.geoms), "geom");
       require_index(a.other[k], static_cast<std::int64_t>(counts_.geoms), "geom");
-      require_index(a.contact_count[k], 5, "number of contacts");
     }
     for (std::size_t k = 0; k < nv; ++k) require_index(a.dof_root[k], a.bodies, "body");
     kept_.push_back(nb::cast(twist));
@@ -385,8 +384,6 @@ void bind_rows(nb::module_& m) {
             (*bound).update(lb.data(), ub.data(), dt);
           },
           "lb"_a, "ub"_a, "dt"_a, "Write the rows at the present kinematics.")
-      .def("renew_kept", [](BoundRows& bound, double dt) { (*bound).renew_kept(dt); }, "dt"_a,
-           "Write the rows again that bound distances from above, once some are foreseen.")
       .def_prop_ro("blocks", &BoundRows::blocks, "First row and number of rows of each barrier.")
       .def_prop_ro("kept_blocks", &BoundRows::kept_blocks,
                    "The same of those that bound their distances from above.")

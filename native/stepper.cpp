@@ -122,7 +122,7 @@ int Stepper::size() const {
   const Equalities* held = engine_.equalities();
   const int count = held == nullptr ? size_ : size_ + held->count();
   return rows == nullptr ? count
-                         : count + 2 * static_cast<int>(rows->blocks().size()) + 4 * rows->count();
+                         : count + static_cast<int>(rows->blocks().size()) + 4 * rows->count();
 }
 
 void Stepper::write(double* out) const {
@@ -140,8 +140,8 @@ void Stepper::write(double* out) const {
   for (const KeptArray& array : kept_) out = std::copy_n(array.values, array.size, out);
   out = std::copy_n(moving_.values, moving_.size, out);
   if (const Rows* rows = engine_.limits()) {
-    for (const auto* blocks : {&rows->blocks(), &rows->kept_blocks()}) {
-      for (const Block& block : *blocks) *out++ = block.count;
+    for (std::size_t k = 0; k < rows->blocks().size(); ++k) {
+      *out++ = rows->blocks()[k].count + rows->kept_blocks()[k].count;
     }
     out = std::copy_n(rows->arrays().ids, rows->count(), out);
     for (const double* values :

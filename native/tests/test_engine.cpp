@@ -232,7 +232,7 @@ struct LimitedFixture : Fixture {
   double size[6] = {radius, 0, 0, radius, 0, 0}, radii[1] = {2.0 * radius};
   double thickness[1] = {radius}, levers[joints], side[joints], reach[2] = {0.0, 2.0 * radius};
   double spread[1] = {0.0}, width[1] = {2.0 * radius}, sign[1] = {1.0}, carries[joints] = {};
-  double apart[1] = {radius}, contacts[40] = {};
+  double apart[1] = {radius}, contacts[36] = {};
   std::int64_t contact_count[1] = {};
   double precision[2] = {1e-9, 1e-3}, moves[joints], bound[1] = {-infinity}, threshold[1] = {0.1}, between[1] = {};
   double segments[6] = {}, normals[3] = {}, room[1] = {-infinity}, travel[joints] = {};

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.control.correct import raise_rows, shortfall_of
+from rmrc.control.correct import raise_rows
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.box import braked
@@ -198,21 +198,15 @@ class PythonEngine:
 
     def _take_rows(self, equalities: Held | None = None) -> None:
         """Write the rows, and equalities if there are any, into the program."""
-        if equalities is None:
-            self._write_rows(np.empty((0, self.problem.dofs.size)), np.empty(0))
-        else:
-            self._write_rows(equalities.matrix, equalities.right)
-
-    def _write_rows(self, matrix: Array, right: Array) -> None:
-        """Write the rows, and equalities E v = f, into the program."""
         assembly, rows = self._assembly, self._rows
-        if (rows.count, right.size) != (assembly.qp.lo.size, assembly.qp.f.size):
-            assembly.resize(rows.count, right.size)
+        count = 0 if equalities is None else equalities.right.size
+        if (rows.count, count) != (assembly.qp.lo.size, assembly.qp.f.size):
+            assembly.resize(rows.count, count)
         qp = assembly.qp
         if rows.count:
             qp.C[:], qp.lo[:], qp.hi[:] = rows.matrix, rows.lower, rows.upper
-        if right.size:
-            qp.E[:], qp.f[:] = matrix, right
+        if equalities is not None:
+            qp.E[:], qp.f[:] = equalities.matrix, equalities.right
         self._solver = self._solver_of(qp)
 
     def _assemble(self, q: Array, dt: float) -> bool:
@@ -421,14 +415,9 @@ class PythonEngine:
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._shortening is None or untouched or not self._in_time():
             return solution
-        ends, blocks = self._shortening.ends(evaluation.data, whole, dt), self._rows.blocks
-        # What has been relaxed goes with the rows as they are.
-        short = shortfall_of(blocks, ends, self.problem.resolution, foresee=not relaxed)
-        if not short:
+        ends = self._shortening.ends(evaluation.data, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, ends, self.problem.resolution):
             return solution
-        if short.jumped:
-            self._renew_rows(solution, dt)
-        raise_rows(self._assembly.qp, self._rows.blocks, short.raised)
         corrected = self._best()
         if not self._trusted(corrected):
             return solution
@@ -439,9 +428,3 @@ class PythonEngine:
             return corrected
         self.share, self.relaxed = share, passed
         return solution
-
-    def _renew_rows(self, solution: Solution, dt: float) -> None:
-        """Write what is foreseen into the program; the multipliers of a solution follow."""
-        self._rows.renew_kept(dt)
-        self._write_rows(self._assembly.qp.E, self._assembly.qp.f)
-        solution.row_multiplier = self._rows.refitted(solution.row_multiplier)

@@ -134,19 +134,10 @@ class NativeRows(Rows):
     def update(self, qp: QP, rate: Array, dt: float) -> None:
         """Write the rows at the present kinematics, and read them."""
         self.native.update(qp.lb, qp.ub, dt)
-        self._foreign = self._mink_rows(dt)
-        self._read_all()
-
-    def renew_kept(self, dt: float) -> None:
-        """Write the rows again that bound distances from above, once some are foreseen."""
-        self.native.renew_kept(dt)
-        self._read_all()
-
-    def _read_all(self) -> None:
-        """Read the rows, and add those of mink's limits."""
         self.read()
-        if self._foreign:
-            rows, upper = (np.concatenate(parts) for parts in zip(*self._foreign, strict=True))
+        mink_rows = self._mink_rows(dt)
+        if mink_rows:
+            rows, upper = (np.concatenate(parts) for parts in zip(*mink_rows, strict=True))
             self.matrix = np.concatenate([self.matrix, rows])
             self.lower = np.concatenate([self.lower, np.full(upper.size, -np.inf)])
             self.upper = np.concatenate([self.upper, upper])

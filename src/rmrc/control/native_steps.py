@@ -61,14 +61,14 @@ class Layout:
     def rows(self, numbers: Array) -> tuple[KeptRows | None, Array, Array]:
         """Return the rows of a step, if it had any, and the multipliers of rows and equalities."""
         rows, barriers = self._rows, self._rows.barriers
-        counts, numbers = np.split(numbers[self._end :], [2 * len(barriers)])
+        counts, numbers = np.split(numbers[self._end :], [len(barriers)])
         count = rows.speed_count + int(counts.sum())
         of_rows, of_equalities = np.split(numbers, [4 * count])
         if not count:
             return None, _NONE, of_equalities
         ids, lower, upper, multiplier = of_rows.reshape(4, -1)
         blocks, first = [], rows.speed_count
-        for barrier, count in zip(barriers * 2, counts.astype(int).tolist(), strict=True):
+        for barrier, count in zip(barriers, counts.astype(int).tolist(), strict=True):
             part = slice(first, first + count)
             blocks.append((barrier, ids[part].astype(np.intp), part))
             first += count

@@ -80,10 +80,6 @@ class Rows:
         """The rows of what bounds their distances from above."""
         self.passed = False
         """Whether a distance is below its limit."""
-        self._parts: list[tuple[Array, Array, Array]] = []
-        self._own = 0
-        self._box = (np.empty(0), np.empty(0), np.empty(0))
-        self._foreign: list[tuple[Array, Array]] = []
         self._travel, self._before = np.zeros(model.nv), np.zeros(problem.dofs.size)
         self._slides = Slides(model, evaluation.obstacle_twist)
 
@@ -93,13 +89,14 @@ class Rows:
         Of the program, its box is read.
         """
         problem, dofs = self._problem, self._problem.dofs
-        self._parts, self.blocks = [], []
+        parts: list[tuple[Array, Array, Array]] = []
+        self.blocks, self.kept_blocks = [], []
         self.passed = False
         self.count = 0
         for speed, part in self._speeds:
             full, bound = np.empty((speed.count, problem.model.nv)), np.empty(speed.count)
             speed.write(problem.model, rate[part], full, bound)
-            self._add(full[:, dofs], -bound, bound)
+            self._add(parts, full[:, dofs], -bound, bound)
         # Without a limit 0 · ∞ would be no number.
         low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
         fastest = np.maximum(np.abs(low), np.abs(high))
@@ -108,7 +105,7 @@ class Rows:
         travel[slows] *= 1.0 + 0.5 * longest
         self._before = self._evaluation.v_previous[dofs]
         brake = braked(problem.box, self._before, dt, self._evaluation.data.qpos)
-        self._box = (low, high, np.clip(brake, low, high))
+        brake = np.clip(brake, low, high)
         self._travel.fill(0.0)
         self._travel[dofs] = travel
         self._slides.begin(self._evaluation.data.qpos, self._travel)
@@ -116,50 +113,40 @@ class Rows:
         for barrier in self.barriers:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:
-                self.blocks.append(self._add_near(barrier, near, dt))
-        self._own, self._foreign = len(self._parts), self._mink_rows(dt)
-        self._add_kept(dt)
+                self.blocks.append(Block(barrier, near, slice(self.count, 0)))
+                self._add_near(parts, barrier, near, (low, high, brake), dt)
+                self.blocks[-1].rows = slice(self.count - near.ids.size, self.count)
+                kept = barrier.kept(self._evaluation.data)
+                if kept is not None and kept.ids.size:
+                    self._add_near(parts, barrier, kept, (low, high, brake), dt)
+                    rows = slice(self.count - kept.ids.size, self.count)
+                    self.kept_blocks.append(Block(barrier, kept, rows))
+        for rows, upper in self._mink_rows(dt):
+            self._add(parts, rows, np.full(upper.size, -np.inf), upper)
+        if parts:
+            self.matrix = np.concatenate([part[0] for part in parts])
+            self.lower = np.concatenate([part[1] for part in parts])
+            self.upper = np.concatenate([part[2] for part in parts])
 
-    def renew_kept(self, dt: float) -> None:
-        """Write the rows again that bound distances from above, once some are foreseen."""
-        del self._parts[self._own :]
-        self.count = sum(part[2].size for part in self._parts)
-        self._add_kept(dt)
-
-    def refitted(self, multiplier: Array) -> Array:
-        """Return the multipliers (count,) of the rows before `renew_kept`, 0 of those it wrote."""
-        fitted, own = np.zeros(self.count), self.blocks[-1].rows.stop
-        fitted[:own] = multiplier[:own]
-        foreign = sum(upper.size for _, upper in self._foreign)
-        fitted[self.count - foreign :] = multiplier[multiplier.size - foreign :]
-        return fitted
-
-    def _add_kept(self, dt: float) -> None:
-        """Add the rows that bound distances from above, and those of mink's limits."""
-        self.kept_blocks = []
-        for block in self.blocks:
-            kept = block.barrier.kept(self._evaluation.data)
-            if kept is not None and kept.ids.size:
-                self.kept_blocks.append(self._add_near(block.barrier, kept, dt))
-        for rows, upper in self._foreign:
-            self._add(rows, np.full(upper.size, -np.inf), upper)
-        if self._parts:
-            self.matrix = np.concatenate([part[0] for part in self._parts])
-            self.lower = np.concatenate([part[1] for part in self._parts])
-            self.upper = np.concatenate([part[2] for part in self._parts])
-
-    def _add_near(self, barrier: Barrier, near: Near, dt: float) -> Block:
-        """Add the rows of what is near, inside the box with its brake."""
+    def _add_near(
+        self,
+        parts: list[tuple[Array, Array, Array]],
+        barrier: Barrier,
+        near: Near,
+        box: tuple[Array, Array, Array],
+        dt: float,
+    ) -> None:
+        """Add the rows of what is near, inside a box with its brake."""
         slope = near.slope[:, self._problem.dofs]
         lower = self._lower(barrier, near, slope, dt)
-        self._bound(slope, lower, *self._box)
-        return Block(barrier, near, self._add(slope, lower, np.full(lower.size, np.inf)))
+        self._bound(slope, lower, *box)
+        self._add(parts, slope, lower, np.full(lower.size, np.inf))
 
-    def _add(self, rows: Array, lower: Array, upper: Array) -> slice:
-        """Add rows, and return their place."""
-        self._parts.append((rows, lower, upper))
+    def _add(
+        self, parts: list[tuple[Array, Array, Array]], rows: Array, lower: Array, upper: Array
+    ) -> None:
+        parts.append((rows, lower, upper))
         self.count += upper.size
-        return slice(self.count - upper.size, self.count)
 
     def _lower(self, barrier: Barrier, near: Near, slope: Array, dt: float) -> Array:
         """Return what c·v must at least be (k,) for the slopes c (k, n)."""

@@ -76,13 +76,6 @@ class Barrier(ABC):
         """
         return None
 
-    def foresee(self, data: mujoco.MjData, ids: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Look at some entries (k,) where a command leads, for `kept` at the present kinematics.
-
-        Return of which it gives another function then, that holds there, too.
-        """
-        return np.zeros(ids.size, dtype=np.bool_)
-
     @property
     def memory(self) -> tuple[NDArray[Any], ...]:
         """What a step leaves to the next."""

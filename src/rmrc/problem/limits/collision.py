@@ -92,7 +92,6 @@ class Collision(Barrier):
     The nearest points of flat faces jump from corner to corner, and with one of them in the program
     the robot rocks on it. So where they jump, those of before are kept, as they stand in the geoms:
     d is the least distance of all points, and what holds for them is no more than what is asked.
-    Those behind a jump on the way of a command that comes too near are kept, too.
     """
 
     kind: ClassVar[str] = "collision"
@@ -216,19 +215,6 @@ class Collision(Barrier):
         np.maximum(distance, self._distance[ids], out=distance)
         near = distance < LEAVE * self._thresholds(ids)
         return self._at(data, ids[near], segments[near], normals[near], distance[near])
-
-    def foresee(self, data: mujoco.MjData, ids: Ids) -> NDArray[np.bool_]:
-        """Keep the nearest points of pairs (k,) where a command leads, if they jump there."""
-        jumped, segment = np.zeros(ids.size, dtype=np.bool_), np.empty(6)
-        for k, pair in enumerate(ids.tolist()):
-            measure = self._measures[pair]
-            distance = signed_distance(self._model, data, measure, FARTHEST, segment)
-            normal = segment[3:] - segment[:3]
-            length = np.sqrt((normal * normal).sum())
-            if length > self._touching:
-                normal /= np.copysign(length, distance)
-                jumped[k] = self._contacts.foresee(data, pair, segment, normal)
-        return jumped
 
     @property
     def memory(self) -> tuple[NDArray[Any], ...]:

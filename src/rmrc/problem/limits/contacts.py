@@ -20,25 +20,30 @@ class Contacts:
     more than the ball that fits into the thinner geom. The distance of two points of the geoms is
     at least that of the geoms. Those that slide a little along each other are a corner and its
     place on a face: the distance is that of a point and a plane, whose normal stands in one geom.
-    So are, once, those that are nearest only where a command leads, however far they slide there.
     """
 
     def __init__(self, geoms: NDArray[np.intp], base: NDArray[np.intp], apart: Array):
         self._geoms, self._base = geoms, base
         self.apart = apart
         """The way (p,) that the nearest points do not jump where they only slide, m."""
-        self.points = np.zeros((len(geoms), KEPT + 1, 10))
-        """The points of the first and of the second geom, the normal in the base's axes, and 1 if
-        they are foreseen: nearest not yet, but where a command leads."""
+        self.points = np.zeros((len(geoms), KEPT + 1, 9))
+        """The points of the first and of the second geom, and the normal in the base's axes."""
         self.count = np.zeros(len(geoms), dtype=np.intp)
         """How many there are (p,)."""
 
     def see(self, data: mujoco.MjData, pair: int, segment: Array, normal: Array) -> None:
         """Take the points (6,) that are the nearest of a pair now, with their normal (3,)."""
-        points, now = self.points[pair], self._local(data, pair, segment, normal)
-        if self.count[pair] and not self._same(pair, now, points[0]):
-            self._keep(data, pair, points[0])
-        place, count = 1, int(self.count[pair])
+        points, count = self.points[pair], int(self.count[pair])
+        now = np.empty(9)
+        for side, geom in enumerate(self._geoms[pair].tolist()):
+            three = slice(3 * side, 3 * side + 3)
+            now[three] = _turned(_axes(data, geom).T, segment[three] - data.geom_xpos[geom])
+        now[6:] = _turned(_axes(data, self._base[pair]).T, normal)
+        if count and not self._same(pair, now, points[0]):
+            place = self._place(data, pair)
+            points[place] = points[0]
+            count = max(count, place + 1)
+        place = 1
         while place < count:
             if self._same(pair, now, points[place]):
                 count -= 1
@@ -48,32 +53,19 @@ class Contacts:
         points[0] = now
         self.count[pair] = max(count, 1)
 
-    def foresee(self, data: mujoco.MjData, pair: int, segment: Array, normal: Array) -> bool:
-        """Keep the points (6,) that will be nearest at `data`; return whether they have jumped."""
-        then = self._local(data, pair, segment, normal)
-        if not self.count[pair] or self._same(pair, then, self.points[pair, 0]):
-            return False
-        then[9] = 1.0
-        self._keep(data, pair, then)
-        return True
-
     def kept(self, data: mujoco.MjData, pair: int) -> list[tuple[Array, Array, float]]:
-        """Return the kept points of a pair but for the nearest (6,), normals (3,) and distances.
-
-        What was foreseen is so no more.
-        """
+        """Return the kept points of a pair but for the nearest (6,), normals (3,) and distances."""
         found = []
         for points in self.points[pair, 1 : max(int(self.count[pair]), 1)]:
-            foreseen, points[9] = points[9] > 0.0, 0.0
             segment = self._segment(data, pair, points)
             normal = segment[3:] - segment[:3]
             distance = float(np.sqrt((normal * normal).sum()))
             if distance == 0.0:
                 continue
-            flat = _turned(_axes(data, self._base[pair]), points[6:9])
+            flat = _turned(_axes(data, self._base[pair]), points[6:])
             height = float((flat * normal).sum())
             aside = np.sqrt(max(distance * distance - height * height, 0.0))
-            if height > 0.0 and (foreseen or aside <= ASIDE * distance):
+            if height > 0.0 and aside <= ASIDE * distance:
                 found.append((segment, flat, height))
             else:
                 found.append((segment, normal / distance, distance))
@@ -83,26 +75,11 @@ class Contacts:
         """Keep nothing."""
         self.count[:] = 0
 
-    def _local(self, data: mujoco.MjData, pair: int, segment: Array, normal: Array) -> Array:
-        """Return points (6,) with their normal (3,) as they stand in their geoms (10,)."""
-        local = np.zeros(10)
-        for side, geom in enumerate(self._geoms[pair].tolist()):
-            three = slice(3 * side, 3 * side + 3)
-            local[three] = _turned(_axes(data, geom).T, segment[three] - data.geom_xpos[geom])
-        local[6:9] = _turned(_axes(data, self._base[pair]).T, normal)
-        return local
-
-    def _keep(self, data: mujoco.MjData, pair: int, points: Array) -> None:
-        """Keep points of a pair beside the nearest."""
-        place = self._place(data, pair, points)
-        self.points[pair, place] = points
-        self.count[pair] = max(int(self.count[pair]), place + 1)
-
-    def _place(self, data: mujoco.MjData, pair: int, new: Array) -> int:
-        """Return where to keep points of a pair: for the same, or for the farthest."""
+    def _place(self, data: mujoco.MjData, pair: int) -> int:
+        """Return where to keep the nearest points of before: for the same, or for the farthest."""
         points, count = self.points[pair], int(self.count[pair])
         for place in range(1, count):
-            if self._same(pair, new, points[place]):
+            if self._same(pair, points[0], points[place]):
                 return place
         if count <= KEPT:
             return count
