@@ -234,6 +234,7 @@ class BoundRows {
     for (std::size_t k = 0; k < p; ++k) {
       require_index(a.base[k], static_cast<std::int64_t>(counts_.geoms), "geom");
       require_index(a.other[k], static_cast<std::int64_t>(counts_.geoms), "geom");
+      require_index(a.contact_count[k], 4, "number of contacts");
     }
     for (std::size_t k = 0; k < nv; ++k) require_index(a.dof_root[k], a.bodies, "body");
     kept_.push_back(nb::cast(twist));
