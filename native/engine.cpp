@@ -69,9 +69,8 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       exact_(constants_.dofs.size()),
       v_previous_(constants_.dofs.size()),
       a_previous_(constants_.dofs.size()),
-      speed_(constants_.dofs.size()),
-      steps_(constants_.dofs.size()),
-      change_(constants_.dofs.size()) {
+      planned_(constants_.dofs.size()),
+      least_norm_(constants_.dofs.size()) {
   brake_.resize(v_.size());
 }
 
@@ -392,23 +391,17 @@ bool Engine::trusted(Ending ending) const {
   return largest <= certified || largest <= certified * std::sqrt(dot(g, g, size()));
 }
 
-// Write the point of the box nearest to rest (n,).
-// Write the point of the box nearest to rest; a ball joint goes on about its axis.
+// Find what braking as the step before has looked at it leaves of the velocity.
+void Engine::plan() {
+  braked(box_.limits(), v_previous_.data(), dt_, mujoco_.qpos, planned_.data());
+}
+
+// Write the point of the box nearest to the next one on the way to rest (n,).
 void Engine::brake(double* v) {
-  const JointLimits& limits = box_.limits();
-  std::fill_n(v, size(), 0.0);
-  if (!limits.balls.empty()) {
-    for (int i = 0; i < size(); ++i) speed_[i] = std::abs(v_previous_[i]);
-    braking(limits.acceleration, limits.balls, speed_.data(), dt_, steps_.data(), change_.data());
-    for (const int first : limits.balls) {
-      for (int i = first; i < first + 3; ++i) {
-        if (steps_[i] > 1.0) v[i] = v_previous_[i] - v_previous_[i] / steps_[i];
-      }
-    }
-  }
+  plan();
   bool finite = true;
   for (int i = 0; i < size(); ++i) {
-    v[i] = std::min(std::max(v[i], program_.lb[i]), program_.ub[i]);
+    v[i] = std::min(std::max(planned_[i], program_.lb[i]), program_.ub[i]);
     finite &= std::isfinite(v[i]);
   }
   if (!finite) std::fill_n(v, size(), 0.0);

@@ -103,6 +103,11 @@ class Engine {
   /// Forget the last solution, so that the next solve starts cold.
   void forget();
 
+  /// Forget what the rows know of the steps before that is more than where things are.
+  void forget_rows() {
+    if (limits_ != nullptr) limits_->forget();
+  }
+
   /// Go through what there is to keep between two solves, if others come between them.
   void keep(Memory& memory);
 
@@ -195,6 +200,7 @@ class Engine {
   bool trusted(Ending ending) const;
   void renew_solver();
   void brake(double* v);
+  void plan();
 
   Ending descend_ladder(Ending ending, bool warm);
   bool feasible(Ending ending) const;
@@ -262,7 +268,8 @@ class Engine {
   std::optional<Cholesky> gram_factor_;
   std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
-  std::vector<double> speed_, steps_, change_;   // of a brake (n,)
+  std::vector<double> planned_;  // what braking leaves of the velocity (n,)
+  std::vector<double> least_norm_;  // least v that holds E v = f (n,)
 };
 
 }  // namespace rmrc

@@ -25,9 +25,12 @@ void Engine::at_distance(double dt) {
   const bool relaxed = relaxed_;
   keep_distances(dt);
   if (share_ == 1.0 || boxed_ || !in_time()) return;
-  const Kinematics& led_to = shortening_->end(whole_.data(), dt);
+  correction_->begin();
+  correction_->see(shortening_->there(), shortening_->go_to_end(whole_.data(), dt));
+  const double rest = shortening_->go_to_rest(whole_.data(), dt);
+  if (rest > 0.0) correction_->see(shortening_->there(), rest);
   move_limits();
-  if (!correction_->raise_rows(led_to, program_.lb, program_.ub, dt, lower_.data())) return;
+  if (!correction_->raise_rows(program_.lb, program_.ub, lower_.data())) return;
   const Outcome first{residuals_, iterations_, share_, relaxed_};
   double* y = limits_->arrays().multiplier;
   shortened_ = v_;
@@ -69,15 +72,9 @@ void Engine::keep_distances(double dt) {
 // Whether the brake goes on otherwise than the joints would stop by themselves, as where they come
 // back into their ranges: its way to rest is then not what the step before has looked at.
 bool Engine::is_forced() const {
-  const JointLimits& limits = box_.limits();
-  std::vector<int>::const_iterator ball = limits.balls.begin();
   for (int i = 0; i < size(); ++i) {
-    while (ball != limits.balls.end() && *ball + 3 <= i) ++ball;
-    const bool turns = ball != limits.balls.end() && *ball <= i;
-    const double a = limits.acceleration[i];
-    if (turns || !std::isfinite(a)) continue;  // a ball brakes about its axis
-    const double left = std::max(std::abs(v_previous_[i]) - a * dt_, 0.0);
-    if (std::abs(brake_[i]) > left + forced) return true;
+    if (!std::isfinite(box_.limits().acceleration[i])) continue;
+    if (std::abs(brake_[i]) > std::abs(planned_[i]) + forced) return true;
   }
   return false;
 }

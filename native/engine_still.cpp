@@ -93,15 +93,15 @@ void Engine::update_equalities() {
 bool Engine::cannot_hold() {
   if (equalities_->inconsistent()) return true;
   const auto hard = [](const RowTerm& term) { return term.is_hard(); };
-  equalities_->least_norm(change_.data());
-  if (is_weak(change_.data(), hard)) return true;
+  equalities_->least_norm(least_norm_.data());
+  if (is_weak(least_norm_.data(), hard)) return true;
   double faster = 1.0;
   for (int i = 0; i < size(); ++i) {
     const double limit = box_.limits().velocity[i];
-    if (limit > 0.0) faster = std::max(faster, std::abs(change_[i]) / limit);
+    if (limit > 0.0) faster = std::max(faster, std::abs(least_norm_[i]) / limit);
   }
-  for (int i = 0; i < size(); ++i) change_[i] /= faster;
-  return passes(change_.data(), hard);
+  for (int i = 0; i < size(); ++i) least_norm_[i] /= faster;
+  return passes(least_norm_.data(), hard);
 }
 
 // Whether V may rise where some terms that no cost draws get v: rmrc.qp.curvature.Curvature.passes.

@@ -11,6 +11,7 @@ from mink.limits import Constraint
 from mink.tasks import BaseTask, Objective
 
 import rmrc
+from braking import left_of
 from models import config
 from rmrc.control.step import Status
 
@@ -108,7 +109,8 @@ def brakes_and_recovers(made: rmrc.Controller, foreign: Task | Limit, answer: An
         step = step_inside(made, before)
         assert step.status is Status.INVALID_INPUT
         assert step.reasons[0].startswith(f"{type(foreign).__name__}: ")
-        assert (np.abs(step.v) <= np.maximum(np.abs(before) - A_MAX * DT, 0.0) + ROUNDING).all()
+        left = left_of(before, np.full(before.size, A_MAX * DT))
+        np.testing.assert_allclose(step.v, left, rtol=0.0, atol=ROUNDING)
         before = step.v
     assert not before.any()
     foreign.answer = None

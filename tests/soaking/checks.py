@@ -213,18 +213,16 @@ class Checker:
     def _brake(self, moment: Moment, v: Array) -> float:
         """Return how far a command is from what braking at the acceleration limit leaves.
 
-        The rates of a ball joint may keep their proportions: then the one that takes longest brakes
-        at its limit, and the others less, but none gains speed.
+        The robot may stay on its line: the joint that takes longest brakes at its limit, and the
+        others less, but none gains speed.
         """
-        dofs, model = self._problem.dofs, self._model
+        dofs = self._problem.dofs
         before, v, limit = moment.v[dofs], v[dofs], self._problem.box.acceleration * moment.dt
         expected = np.sign(before) * np.maximum(np.abs(before) - limit, 0.0)
         excess = np.abs(v - expected)
-        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)):
-            three = np.flatnonzero(model.dof_jntid[dofs] == joint)
-            if not three.size:
-                continue
-            others = np.delete(three, np.argmax(np.abs(before[three]) / limit[three]))
+        limited = np.flatnonzero(np.isfinite(limit))
+        if limited.size:
+            others = np.delete(limited, np.argmax(np.abs(before[limited]) / limit[limited]))
             low, high = np.sort([expected[others], before[others]], axis=0)
             excess[others] = np.maximum(low - v[others], v[others] - high)
         return float(excess.max())

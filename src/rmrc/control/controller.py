@@ -16,7 +16,7 @@ from rmrc.control.quick import quick_step, quick_target
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
 from rmrc.errors import ModelError, RmrcError, unknown_name
 from rmrc.problem.frames import names
-from rmrc.problem.limits.box import braking
+from rmrc.problem.limits.box import braked
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 
@@ -402,10 +402,9 @@ class Controller:
         seconds = dt or self.problem.dt
         dofs, box, v = self.problem.dofs, self.problem.box, np.zeros(self._model.nv)
         before = self._v[dofs]
-        _, change = braking(box, np.abs(before), seconds)
-        # What is faster than it may be sheds all that it can; about its axis a ball may shed less.
+        # What is faster than it may be sheds all that it can, not only its part.
         most = np.maximum(box.velocity, np.abs(before) - box.acceleration * seconds)
-        v[dofs] = np.clip(before - np.clip(before, -change, change), -most, most)
+        v[dofs] = np.clip(braked(box, before, seconds, self._q), -most, most)
         solution = Solution.at_rest(self.engine.assembly.qp)
         solution.v = v[dofs]
         self._progress.reset()

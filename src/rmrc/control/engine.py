@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rmrc.control.correct import raise_rows
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.limits.box import braking
+from rmrc.problem.limits.box import braked
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
@@ -148,6 +148,8 @@ class PythonEngine:
         """Forget the last solution, so that the next solve starts cold."""
         for solver in self._solvers.values():
             solver.ready = False
+        for barrier in self._rows.barriers:
+            barrier.forget()
 
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
@@ -377,17 +379,16 @@ class PythonEngine:
         return failed
 
     def _brake(self) -> Array:
-        """Return the point of the box nearest to rest; a ball joint goes on about its axis."""
-        qp, box = self._assembly.qp, self.problem.box
-        v = np.zeros(qp.g.size)
-        if box.balls.size:
-            before = self.evaluation.v_previous[self.problem.dofs]
-            steps, _ = braking(box, np.abs(before), self._dt)
-            some = (box.balls[:, None] + np.arange(3)).ravel()
-            some = some[steps[some] > 1.0]
-            v[some] = before[some] - before[some] / steps[some]
-        v = np.clip(v, qp.lb, qp.ub)
+        """Return the point of the box nearest to the next one on the way to rest."""
+        qp = self._assembly.qp
+        v = np.clip(self._planned(), qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
+
+    def _planned(self) -> Array:
+        """Return what braking as the step before has looked at it leaves of the velocity (n,)."""
+        evaluation = self.evaluation
+        before = evaluation.v_previous[self.problem.dofs]
+        return braked(self.problem.box, before, self._dt, evaluation.data.qpos)
 
     def keep_distances(self, solution: Solution, dt: float) -> None:
         """Shorten v towards the brake where a distance would be passed at the end of the step."""
@@ -412,11 +413,8 @@ class PythonEngine:
         So it does where they come back into their ranges: its way to rest is then not what the step
         before has looked at.
         """
-        box, before = self.problem.box, self.evaluation.v_previous[self.problem.dofs]
-        left = np.maximum(np.abs(before) - box.acceleration * self._dt, 0.0)
-        left[(box.balls[:, None] + np.arange(3)).ravel()] = np.inf  # a ball brakes about its axis
-        limited = np.isfinite(box.acceleration)
-        return bool((np.abs(brake) > left + FORCED)[limited].any())
+        faster = np.abs(brake) > np.abs(self._planned()) + FORCED
+        return bool(faster[np.isfinite(self.problem.box.acceleration)].any())
 
     def _misses(self, v: Array) -> bool:
         """Return whether a shortened command misses equalities, or rows that are no distances'.
@@ -430,7 +428,7 @@ class PythonEngine:
             return False
         activity = qp.C @ v
         missed = np.maximum(qp.lo - activity, activity - qp.hi)
-        for block in rows.blocks:
+        for block in rows.blocks + rows.kept_blocks:
             missed[block.rows] = 0.0
         missed[: rows.speed_count] = 0.0
         return max(missed.max(initial=0.0), rows.excess(v)) > CERTIFIED
@@ -443,8 +441,8 @@ class PythonEngine:
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._shortening is None or untouched or not self._in_time():
             return solution
-        end = self._shortening.end(evaluation.data, whole, dt)
-        if not raise_rows(qp, self._rows.blocks, end, dt, self.problem.resolution):
+        ends = self._shortening.ends(evaluation.data, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, ends, self.problem.resolution):
             return solution
         corrected = self._best()
         while self._trusted(corrected) and self._cut(corrected):

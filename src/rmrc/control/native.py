@@ -200,7 +200,6 @@ class NativeEngine(PythonEngine):
                 box.acceleration.tolist(),
                 box.jerk.tolist(),
                 box.step.tolist(),
-                box.balls.tolist(),
             ),
             H=qp.H,
             g=qp.g,

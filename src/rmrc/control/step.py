@@ -134,6 +134,8 @@ class Moment:
         """Have the engine at this moment again, and afterwards its targets as they were."""
         engine = self.engine
         now = Moment(engine, self.q, self.v_previous, self.a_previous, self.dt)
+        memory = [array for barrier in engine.rows.barriers for array in barrier.memory]
+        remembered = [array.copy() for array in memory]
         engine.evaluation.restore(self._kept)
         engine.evaluation.a_previous[:] = self.a_previous
         engine.prepare(self.q, self.v_previous, self.dt)
@@ -141,6 +143,8 @@ class Moment:
             yield
         finally:
             engine.evaluation.restore(now._kept)
+            for array, values in zip(memory, remembered, strict=True):
+                array[:] = values
 
     def packed(self) -> "Packed":
         """Return what there is to it without the engine."""

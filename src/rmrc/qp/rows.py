@@ -1,6 +1,5 @@
 """The rows lo ≤ C v ≤ hi of a step: barriers, speeds of frames, and limits of mink's."""
 
-import math
 from dataclasses import dataclass
 
 import mink
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.limits.barrier import Barrier, Near
+from rmrc.problem.limits.box import braked
 from rmrc.problem.limits.slides import Slides
 from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
@@ -17,9 +17,6 @@ from rmrc.qp.program import QP
 
 Array = NDArray[np.float64]
 
-STOPPING = 0.5
-"""Share of the deceleration along a barrier's slope that is counted on: the joints do not brake in
-the proportions of the slope."""
 ROUNDING = 1e-9
 """Share by which a row stays below the fastest that the box allows."""
 FASTEST = 1e6
@@ -38,11 +35,21 @@ class Block:
 class Rows:
     """Gathers the rows of a step; their number may change from step to step.
 
-    A barrier's row is slope·v ≥ −rate(h) − drift with rate(h) = gain h/dt and, with acceleration
-    limits, no more than the speed −a dt + √(a²dt² + 2ah) from which the distance can still be
-    stopped at 0. Where h < 0 it asks for a way back at no more than `push`. What the box alone
-    makes impossible is not asked for: the check of the command where it leads says what comes of
-    that.
+    A barrier's row is c·v ≥ −rate − drift with the slope c and rate = gain h/dt. With acceleration
+    limits the robot brakes along the line that it moves on, in N = max |u_i|/(a_i dt) steps from
+    the velocity u before (see `braking`), on which a distance that falls at s falls by s (N + 1)/2
+    dt until rest. N changes by at most 1 in a step, and in proportion to s where the robot brakes,
+    with the deceleration α = −c·u/(N dt) of the distance. So
+
+        rate = max(2 gain h/((M + 2) dt), −α dt + √(α²dt² + 2 α gain h)),  M = max v_max,i/(a_i dt):
+
+    the second brakes the approach, and comes to 2 gain h/(N dt) where other motions, as along a
+    wall, keep N up; the first is what can be stopped whatever moves. From rest M is 0, but for what
+    comes near by itself, from which a retreat has to begin in time. No column of a row depends on
+    u, nor does the first: joints that do nearly the same would take turns.
+
+    Where h < 0 the row asks for a way back at no more than `push`. What the box alone makes
+    impossible is not asked for: the check of the command where it leads says what comes of that.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation):
@@ -69,12 +76,12 @@ class Rows:
         """lo and hi (count,)."""
         self.blocks: list[Block] = []
         """The barriers that have rows now."""
+        self.kept_blocks: list[Block] = []
+        """The rows of what bounds their distances from above."""
         self.passed = False
         """Whether a distance is below its limit."""
         self._plain: Array | None = None  # H without the curvature of speeds, once it has any
-        self._inverse_acceleration = 1.0 / problem.box.acceleration  # 0 where there is no limit
-        self._stops = bool(self._inverse_acceleration.any())
-        self._travel = np.zeros(model.nv)
+        self._travel, self._before = np.zeros(model.nv), np.zeros(problem.dofs.size)
         self._slides = Slides(model, evaluation.obstacle_twist)
 
     def update(self, qp: QP, rate: Array, dt: float) -> None:
@@ -84,7 +91,7 @@ class Rows:
         """
         problem, dofs = self._problem, self._problem.dofs
         parts: list[tuple[Array, Array, Array]] = []
-        self.blocks = []
+        self.blocks, self.kept_blocks = [], []
         self.passed = False
         self.count = 0
         for speed, part in self._speeds:
@@ -94,9 +101,12 @@ class Rows:
         # Without a limit 0 · ∞ would be no number.
         low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
         fastest = np.maximum(np.abs(low), np.abs(high))
-        travel = fastest * dt
-        if self._stops:
-            travel += 0.5 * fastest * fastest * self._inverse_acceleration
+        travel, acceleration = fastest * dt, problem.box.acceleration
+        slows, longest = np.isfinite(acceleration), (fastest / (acceleration * dt)).max()
+        travel[slows] *= 1.0 + 0.5 * longest
+        self._before = self._evaluation.v_previous[dofs]
+        brake = braked(problem.box, self._before, dt, self._evaluation.data.qpos)
+        brake = np.clip(brake, low, high)
         self._travel.fill(0.0)
         self._travel[dofs] = travel
         self._slides.begin(self._evaluation.data.qpos, self._travel)
@@ -105,16 +115,33 @@ class Rows:
             near = barrier.near(self._evaluation.data, self._travel, dt)
             if near.ids.size:
                 self.blocks.append(Block(barrier, near, slice(self.count, 0)))
-                slope = near.slope[:, dofs]
-                lower = self._lower(barrier, near, slope, (low, high), dt)
-                self._add(parts, slope, lower, np.full(lower.size, np.inf))
-                self.blocks[-1].rows = slice(self.count - lower.size, self.count)
+                self._add_near(parts, barrier, near, (low, high, brake), dt)
+                self.blocks[-1].rows = slice(self.count - near.ids.size, self.count)
+                kept = barrier.kept(self._evaluation.data)
+                if kept is not None and kept.ids.size:
+                    self._add_near(parts, barrier, kept, (low, high, brake), dt)
+                    rows = slice(self.count - kept.ids.size, self.count)
+                    self.kept_blocks.append(Block(barrier, kept, rows))
         for rows, upper in self._mink_rows(dt):
             self._add(parts, rows, np.full(upper.size, -np.inf), upper)
         if parts:
             self.matrix = np.concatenate([part[0] for part in parts])
             self.lower = np.concatenate([part[1] for part in parts])
             self.upper = np.concatenate([part[2] for part in parts])
+
+    def _add_near(
+        self,
+        parts: list[tuple[Array, Array, Array]],
+        barrier: Barrier,
+        near: Near,
+        box: tuple[Array, Array, Array],
+        dt: float,
+    ) -> None:
+        """Add the rows of what is near, inside a box with its brake."""
+        slope = near.slope[:, self._problem.dofs]
+        lower = self._lower(barrier, near, slope, dt)
+        self._bound(slope, lower, *box)
+        self._add(parts, slope, lower, np.full(lower.size, np.inf))
 
     def _add(
         self, parts: list[tuple[Array, Array, Array]], rows: Array, lower: Array, upper: Array
@@ -175,47 +202,38 @@ class Rows:
         tangent[self._problem.dofs] = v
         return tangent
 
-    def _lower(
-        self,
-        barrier: Barrier,
-        near: Near,
-        slope: Array,
-        box: tuple[Array, Array],
-        dt: float,
-    ) -> Array:
-        """Return what slope·v must at least be (k,)."""
+    def _lower(self, barrier: Barrier, near: Near, slope: Array, dt: float) -> Array:
+        """Return what c·v must at least be (k,) for the slopes c (k, n)."""
         distance = near.distance
-        rate = barrier.gain / dt * distance
-        if self._stops:
-            rate = np.minimum(rate, self._stopping(distance, slope, dt))
-        lower = np.minimum(-rate, barrier.push) - near.drift
-        # No row that only holds an approach back asks for more than the brake can do.
-        braked = slope @ np.clip(0.0, *box)
-        np.minimum(lower, braked - ROUNDING * np.abs(braked), out=lower, where=lower <= 0.0)
-        fastest = np.maximum(slope * box[0], slope * box[1]).sum(axis=1)
-        fastest -= ROUNDING * np.abs(fastest)
-        beyond = lower > fastest
-        lower[beyond] = fastest[beyond]
         self.passed |= bool(distance.min() < -self._problem.resolution)
-        return lower
+        room = barrier.gain * distance
+        limits, before = self._problem.box, np.abs(self._before)
+        longest = float((before / (limits.acceleration * dt)).max())
+        fastest = np.maximum(before, np.where(limits.velocity < FASTEST, limits.velocity, 0.0))
+        most = float((fastest / (limits.acceleration * dt)).max())
+        steps = np.where((longest > 0.0) | (near.drift < 0.0), most, 0.0)
+        rate = room * 2.0 / ((steps + 2.0) * dt)
+        if longest > 0.0:
+            approach = -(slope * self._before).sum(axis=1)  # by @ its last bit depends on addresses
+            slower = np.maximum(approach, 0.0) / longest  # α dt
+            reach = 2.0 * np.maximum(room, 0.0) * (slower / dt)
+            root = np.sqrt(slower * slower + reach) + slower
+            own = np.divide(reach, root, out=np.zeros_like(root), where=root > 0.0)
+            rate = np.maximum(rate, own)
+        rate = np.where(distance >= 0.0, rate, room / dt)
+        return np.minimum(-rate, barrier.push) - near.drift
 
-    def _stopping(self, distance: Array, slope: Array, dt: float) -> Array:
-        """Return the speeds (k,) from which each distance can still be stopped at 0.
+    @staticmethod
+    def _bound(slope: Array, lower: Array, low: Array, high: Array, brake: Array) -> None:
+        """Lower what slope·v must be (k,), in place, to what the box allows.
 
-        With joint rates in proportion to the slope c, all joints at their a_max take
-        s² Σ |c|³/a / (2 (c·c)²) from a speed s, so that a = (c·c)² / Σ |c|³/a.
+        No row that only holds an approach back asks for more than the brake can do.
         """
-        steep = np.abs(slope)
-        square = (steep * steep).sum(axis=1)
-        weight = (steep**3) @ self._inverse_acceleration
-        a = STOPPING * np.divide(
-            square * square, weight, out=np.full(square.size, math.inf), where=weight > 0.0
-        )
-        finite = np.where(np.isfinite(a), a, 0.0)
-        room = 2.0 * finite * np.maximum(distance, 0.0)
-        root = np.sqrt((finite * dt) ** 2 + room) + finite * dt
-        speed = np.divide(room, root, out=np.zeros_like(root), where=root > 0.0)
-        return np.where(np.isfinite(a) & (distance >= 0.0), speed, np.inf)
+        least = (slope * brake).sum(axis=1)
+        np.minimum(lower, least - ROUNDING * np.abs(least), out=lower, where=lower <= 0.0)
+        fastest = np.maximum(slope * low, slope * high).sum(axis=1)
+        fastest -= ROUNDING * np.abs(fastest)
+        np.minimum(lower, fastest, out=lower)
 
     def _mink_rows(self, dt: float) -> list[tuple[Array, Array]]:
         """Return the rows C v ≤ hi of mink's limits, which say G Δq ≤ h."""
@@ -237,7 +255,9 @@ class Rows:
 
     def kept(self) -> "KeptRows":
         """Return what the present rows are of, for later."""
-        blocks = [(block.barrier, block.near.ids, block.rows) for block in self.blocks]
+        blocks = [
+            (block.barrier, block.near.ids, block.rows) for block in self.blocks + self.kept_blocks
+        ]
         return KeptRows(self.speeds, blocks, self.lower, self.upper)
 
     @property

@@ -52,7 +52,6 @@ def compile_box(
         acceleration=_limit(objects, "acceleration", limits.acceleration, mistakes),
         jerk=_limit(objects, "jerk", limits.jerk, mistakes),
         step=np.full(model.nv, np.inf),
-        balls=model.jnt_dofadr[model.jnt_type == _BALL].astype(np.intp),
     )
     return box, notices
 
@@ -68,7 +67,6 @@ def select(box: Box, dofs: NDArray[np.intp]) -> Box:
         acceleration=box.acceleration[dofs],
         jerk=box.jerk[dofs],
         step=box.step[dofs],
-        balls=np.searchsorted(dofs, box.balls[np.isin(box.balls, dofs)]),
     )
 
 
