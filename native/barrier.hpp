@@ -30,6 +30,16 @@ class Barrier {
   /// Write what may bind in a step of dt in which each dof moves by no more than `travel` (nv,).
   virtual void near(const Kinematics& now, const double* travel, double dt, Near& near) = 0;
 
+  /// Write further functions that bound h of what is near from above, after `near` at the same
+  /// kinematics.
+  virtual void kept(const Kinematics&, Near& near) { near.count = 0; }
+
+  /// Return how many there can be.
+  virtual int most_kept() const { return 0; }
+
+  /// Forget what such functions are of.
+  virtual void forget() {}
+
   /// Return h of an entry at other kinematics.
   virtual double distance(const Kinematics& at, int id) const = 0;
 

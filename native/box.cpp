@@ -10,7 +10,8 @@ namespace rmrc {
 namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
-constexpr double range_rounding = 1e-9;  // a joint this little outside its range is on it
+constexpr double range_rounding = 1e-9;  // rmrc.problem.limits.box.RANGE_ROUNDING
+constexpr double tiny = 1e-300;          // rmrc.problem.limits.box.TINY
 constexpr double far = 1e12;             // stands for the room of a joint without a range
 
 // The largest speed from which a joint can stop in its room; any where it has none to stop in.
@@ -61,19 +62,56 @@ double eased(double room, double v, double a, double jerk, double acceleration, 
 
 }  // namespace
 
-void braking(const std::vector<double>& acceleration, const std::vector<int>& balls,
-             const double* speed, double dt, double* steps, double* change) {
-  for (std::size_t i = 0; i < acceleration.size(); ++i) {
-    change[i] = acceleration[i] * dt;
-    steps[i] = speed[i] / change[i];
+namespace {
+
+// Return the steps that the joint takes to rest which takes longest at its a_max.
+double longest(const JointLimits& limits, const double* v, double dt) {
+  double steps = 0.0;
+  for (std::size_t i = 0; i < limits.acceleration.size(); ++i) {
+    steps = std::max(steps, std::abs(v[i]) / (limits.acceleration[i] * dt));
   }
-  for (const int first : balls) {
-    const double longest = *std::max_element(steps + first, steps + first + 3);
-    if (!(longest > 0.0)) continue;
-    for (int i = first; i < first + 3; ++i) {
-      steps[i] = longest;
-      change[i] = speed[i] / longest;
+  return std::max(steps, tiny);
+}
+
+// Return how far a joint may go on from q (nq,) with the sign of v.
+double room_ahead(const JointLimits& limits, std::size_t i, double v, const double* q) {
+  const double at = q[limits.coordinate[i]];
+  return v > 0.0 ? limits.upper[i] - at : at - limits.lower[i];
+}
+
+// Return by how much |v| of a joint falls in each step where the slowest takes so many, once it has
+// gone on for a time from q.
+double slowed(const JointLimits& limits, std::size_t i, double v, double dt, const double* q,
+              double ahead, double steps) {
+  const double speed = std::abs(v), most = limits.acceleration[i] * dt;
+  if (!std::isfinite(most)) return most;
+  const double change = speed / steps;
+  if (q == nullptr) return change;
+  const double room = room_ahead(limits, i, v, q);
+  const double way = 2.0 * (room - speed * ahead) + speed * dt;
+  return std::max(change, way > 0.0 ? std::min(speed * speed * dt / way, most) : most);
+}
+
+}  // namespace
+
+void braking(const JointLimits& limits, const double* v, double dt, const double* q, double* steps,
+             double* change) {
+  const double most = longest(limits, v, dt);
+  for (std::size_t i = 0; i < limits.acceleration.size(); ++i) {
+    change[i] = slowed(limits, i, v[i], dt, q, dt, most);
+    steps[i] = v[i] == 0.0 ? 0.0 : std::abs(v[i]) / change[i];
+  }
+}
+
+void braked(const JointLimits& limits, const double* v, double dt, const double* q, double* left) {
+  const double most = longest(limits, v, dt);
+  for (std::size_t i = 0; i < limits.acceleration.size(); ++i) {
+    double change = slowed(limits, i, v[i], dt, q, 0.0, most);
+    const double room = room_ahead(limits, i, v[i], q), a = limits.acceleration[i];
+    if (room >= 0.0 && std::isfinite(room) && std::isfinite(a)) {
+      change = std::max(change, std::min(std::abs(v[i]) - stoppable(room, a, dt), a * dt));
     }
+    left[i] = v[i] - std::min(std::max(v[i], -change), change);
   }
 }
 

@@ -12,13 +12,17 @@ struct JointLimits {
   double gain;
   std::vector<double> velocity, acceleration, jerk;
   std::vector<double> step;  // most that a joint moves in a step
-  std::vector<int> balls;    // the first of the three entries of each ball joint
 };
 
-/// Write the steps of dt that |v| (n,) takes to rest, and by how much it falls in each, as braking
-/// of rmrc.problem.limits.box.
-void braking(const std::vector<double>& acceleration, const std::vector<int>& balls,
-             const double* speed, double dt, double* steps, double* change);
+/// Write the steps of dt that v (n,) takes to rest once a step with it is over, and by how much |v|
+/// falls in each, as braking of rmrc.problem.limits.box; from q (nq,), or where no range ends if it
+/// is null.
+void braking(const JointLimits& limits, const double* v, double dt, const double* q, double* steps,
+             double* change);
+
+/// Write what is left of v (n,), which has led to q (nq,), after a step of braking: braked of
+/// rmrc.problem.limits.box.
+void braked(const JointLimits& limits, const double* v, double dt, const double* q, double* left);
 
 /// Computes lb ≤ v ≤ ub of a step: position, velocity and acceleration clip the ends in this order.
 class Box {

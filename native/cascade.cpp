@@ -13,7 +13,9 @@ namespace {
 constexpr double infinity = std::numeric_limits<double>::infinity();
 // rmrc.qp.cascade
 constexpr double rank_share = 1e-9;      // RANK
-constexpr double fastest_weight = 1e-10;  // FASTEST
+constexpr double worth = 1e-6;  // WORTH
+constexpr double brisk = 10.0;  // BRISK
+constexpr double lost = 0.02;   // LOST
 constexpr double still = 1e-8;           // STILL
 constexpr double exact = 1e-12;          // EXACT
 constexpr double sound = 1e-7;           // SOUND
@@ -51,6 +53,7 @@ Cascade::Cascade(int size, const LevelSizes& sizes, int max_rows, int max_equali
       reach_(static_cast<std::size_t>(std::max(sizes.rows, sizes.directed)) * size),
       missing_(std::max(sizes.rows, sizes.directed)) {
   optima_.resize(static_cast<std::size_t>(sizes.levels) * size);
+  directed_.resize(static_cast<std::size_t>(sizes.levels) * size);
   solvers_.emplace_back(size, max_rows, max_equalities, max_iterations);
   for (int k = 0; k < sizes.levels; ++k) {
     solvers_.emplace_back(size + 1, size + max_rows, sizes.directed, max_iterations);
@@ -72,7 +75,7 @@ Status Cascade::solve(const std::vector<Level>& levels, const Program& limits,
   end_ = end;
   iterations_ = 0;
   scale_ = 1.0;
-  optimum_count_ = 0;
+  optimum_count_ = directed_count_ = 0;
   residuals_ = {};
   for (int i = 0; i < size_; ++i) v_[i] = std::min(std::max(0.0, limits.lb[i]), limits.ub[i]);
   std::fill(z_.begin(), z_.end(), 0.0);
@@ -93,6 +96,7 @@ Status Cascade::descend(const std::vector<Level>& levels) {
   QPSolver* solver = solvers_.data() + 1;
   bool begun = false;
   for (const Level& level : levels) {
+    bool directed = false;
     for (const bool first : {true, false}) {
       if (!level.asked) continue;
       if (free_count_ == 0) return Status::solved;
@@ -101,6 +105,12 @@ Status Cascade::descend(const std::vector<Level>& levels) {
       }
       const Status status = first ? fastest(level, solver[0]) : nearest(level, solver[1]);
       if (status != Status::solved) return status;
+      // Where no direction was found, the least squares has taken over.
+      if (first) ++directed_count_;
+      if (first || !directed) {
+        std::copy_n(v_.begin(), size_, directed_.begin() + (directed_count_ - 1) * size_);
+      }
+      if (first) directed = found_direction_;
     }
     solver += 2;
   }
@@ -132,6 +142,7 @@ Status Cascade::enter() {
 // Maximise α in J (v + N z) = α ẋ, 0 ≤ α ≤ 1, of the part of ẋ that the free motion can give.
 Status Cascade::fastest(const Level& level, QPSolver& solver) {
   const int count = free_count_, variables = count + 1;
+  found_direction_ = false;
   if (level.directed == 0) return Status::solved;
   for (int r = 0; r < level.directed; ++r) {
     const double* own = level.jacobian + r * size_;
@@ -141,28 +152,40 @@ Status Cascade::fastest(const Level& level, QPSolver& solver) {
     row[count + 1] = dot(own, v_.data(), size_);
   }
   const int rank = reduction_.reduce(level.directed, count, rank_share);
-  bool wanted = false;
+  if (rank == 0) return Status::solved;
+  double square = 0.0, whole = 0.0, left = 0.0;
+  for (int r = 0; r < level.directed; ++r) whole += level.direction[r] * level.direction[r];
   for (int r = 0; r < rank; ++r) {
     const double* row = reduction_.row(r);
-    std::copy_n(row, count, E_.begin() + r * variables);
-    E_[r * variables + count] = -row[count];
-    f_[r] = -row[count + 1];
-    wanted |= row[count] != 0.0;
+    left += row[count] * row[count];
+    const double sigma = std::sqrt(dot(row, row, count));
+    double* unit = E_.data() + r * variables;
+    for (int k = 0; k <= count; ++k) unit[k] = row[k] / sigma;
+    square += unit[count] * unit[count];
+    f_[r] = -row[count + 1] / sigma;
   }
-  if (!wanted) return Status::solved;
+  if (left < lost * lost * whole) return Status::solved;  // the least squares takes over
+  const double least = std::sqrt(square);  // κ
+  // t = κ α, so that all variables are rates; there is no way along ẋ = 0.
+  for (int r = 0; r < rank; ++r) {
+    double& along = E_[r * variables + count];
+    along = least > 0.0 ? -along / least : 0.0;
+  }
   std::fill_n(H_.begin(), variables * variables, 0.0);
-  for (int i = 0; i < count; ++i) H_[i * variables + i] = fastest_weight;
-  H_[count * variables + count] = 1.0;
+  for (int i = 0; i < variables; ++i) H_[i * variables + i] = 1.0;
   reduce(v_.data(), g_.data());
-  for (int i = 0; i < count; ++i) g_[i] *= fastest_weight;
-  g_[count] = -1.0;
+  const double pull = std::min(least, brisk) / worth;
+  g_[count] = -pull;
   bound(variables);
   lb_[count] = 0.0;
-  ub_[count] = 1.0;
-  const Status status = certified(solver, variables, rank);
+  ub_[count] = least;
+  // In the unit of α, as that of a cost whose largest weight is 1.
+  const double share = least * pull > 1.0 ? 1.0 / (least * pull) : 1.0;
+  const Status status = certified(solver, variables, rank, share);
   if (status == Status::infeasible) return Status::solved;  // the least squares takes over
   if (status != Status::solved) return status;
-  scale_ = std::min(scale_, step_[count]);
+  found_direction_ = true;
+  if (least > 0.0) scale_ = std::min(scale_, step_[count] / least);
   advance();
   return keep_free(E_.data(), rank, variables);
 }
@@ -299,18 +322,21 @@ Status Cascade::attempt(QPSolver& solver, const Program& written, int variables,
 }
 
 // Solve a level's program as it is written, and take over the multipliers.
-Status Cascade::certified(QPSolver& solver, int variables, int equalities) {
+Status Cascade::certified(QPSolver& solver, int variables, int equalities, double share) {
+  const Residuals before = residuals_;
   const Status status = attempt(solver, program(equalities), variables, false);
   if (status != Status::solved) return status;
+  residuals_.dual = std::max(before.dual, share * residuals_.dual);
+  residuals_.complementarity = std::max(before.complementarity, share * residuals_.complementarity);
   const double* y = solver.row_multiplier();
   if (whole_) {
-    for (int i = 0; i < size_; ++i) z_[i] += solver.bound_multiplier()[i];
+    for (int i = 0; i < size_; ++i) z_[i] += share * solver.bound_multiplier()[i];
   } else {
-    for (int i = 0; i < size_; ++i) z_[i] += y[i] / norm_[i];
+    for (int i = 0; i < size_; ++i) z_[i] += share * y[i] / norm_[i];
     y += size_;
   }
   const double* norm = norm_.data() + (whole_ ? 0 : size_);
-  for (int r = 0; r < limits_->rows; ++r) y_[r] += y[r] / norm[r];
+  for (int r = 0; r < limits_->rows; ++r) y_[r] += share * y[r] / norm[r];
   return status;
 }
 

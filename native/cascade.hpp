@@ -55,6 +55,12 @@ class Cascade {
 
   const double* v() const { return v_.data(); }
 
+  /// v (n,) of level k once its directions were found, before its other tasks were; null where it
+  /// was not begun.
+  const double* directed(int k) const {
+    return k < directed_count_ ? directed_.data() + k * size_ : nullptr;
+  }
+
   /// v_k (n,) of level k, counting those that were asked: the answer itself for the last that was
   /// solved, null for those behind it.
   const double* optimum(int k) const {
@@ -80,7 +86,7 @@ class Cascade {
   void weigh(const Level& level, const double* x, int column);
   void bound(int variables);
   Status attempt(QPSolver& solver, const Program& program, int variables, bool refusable);
-  Status certified(QPSolver& solver, int variables, int equalities);
+  Status certified(QPSolver& solver, int variables, int equalities, double share = 1.0);
   void advance();
   Status keep_free(const double* rows, int count, int stride);
 
@@ -105,7 +111,9 @@ class Cascade {
   int iterations_ = 0;
   double scale_ = 1.0;
   std::vector<double> optima_;  // v_k of the levels above the last that was begun
-  int optimum_count_ = 0;
+  std::vector<double> directed_;  // of those that were begun
+  bool found_direction_ = false;
+  int optimum_count_ = 0, directed_count_ = 0;
 
   // A level's program over z, and over α behind it.
   std::vector<double> H_, g_, lb_, ub_, C_, lo_, hi_, E_, f_;

@@ -11,9 +11,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.problem.limits.collision: LEAVE and FARTHEST.
-constexpr double leave = 1.2;
-constexpr double farthest = 1e10;
+constexpr double farthest = 1e10;  // rmrc.problem.limits.collision.FARTHEST
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
@@ -67,12 +65,26 @@ void Collision::near(const Kinematics& now, const double* travel, double dt, Nea
   }
   near.count = 0;
   each_active([&](int id) {
-    const int k = near.count++;
     direct(now, id);
-    near.ids[k] = id;
-    near.distance[k] = a_.distance[id] - a_.d_min;
-    near.drift[k] = drift(now, id);
-    differentiate(now, id, near.slope + static_cast<long>(k) * nv_);
+    write(now, id, a_.segments + 6 * id, a_.normals + 3 * id, a_.distance[id], near);
+    if (a_.distance[id] > a_.precision[0]) see_contact(now, id);
+  });
+}
+
+// Write a pair at a segment between its geoms.
+void Collision::write(const Kinematics& now, int id, const double* segment, const double* normal,
+                      double distance, Near& near) const {
+  const int k = near.count++;
+  near.ids[k] = id;
+  near.distance[k] = distance - a_.d_min;
+  near.drift[k] = drift(now, id, segment, normal);
+  differentiate(now, id, segment, normal, near.slope + static_cast<long>(k) * nv_);
+}
+
+void Collision::kept(const Kinematics& now, Near& near) {
+  near.count = 0;
+  each_active([&](int id) {
+    if (a_.distance[id] > a_.precision[0]) write_contacts(now, id, near);
   });
 }
 
@@ -93,6 +105,8 @@ void Collision::keep(Memory& memory) {
   for (const auto array : {&PairArrays::quaternion, &PairArrays::seen_quaternion}) {
     place(array, 4 * a_.bodies);
   }
+  place(&PairArrays::contacts, contacts_of_pair * a_.pairs);
+  place(&PairArrays::contact_count, a_.pairs);
   place(&PairArrays::active, a_.pairs);
   place(&PairArrays::measured, a_.pairs);
 }
@@ -236,10 +250,11 @@ void Collision::direct(const Kinematics& now, int id) {
 
 // Write nᵀ(J_b − J_a) (nv,): the nearest points are on one line along n, so that the moment of n
 // about the world's origin is the same at both.
-void Collision::differentiate(const Kinematics& now, int id, double* slope) const {
-  const double *normal = a_.normals + 3 * id, *side = a_.side + static_cast<long>(id) * nv_;
+void Collision::differentiate(const Kinematics& now, int id, const double* segment,
+                              const double* normal, double* slope) const {
+  const double* side = a_.side + static_cast<long>(id) * nv_;
   double moment[3];
-  cross(a_.segments + 6 * id, normal, moment);
+  cross(segment, normal, moment);
   for (int dof = 0; dof < nv_; ++dof) {
     const double along = dot3(normal, origin_.data() + 3 * dof) + dot3(moment, now.cdof + 6 * dof);
     slope[dof] = side[dof] == 0.0 ? 0.0 : side[dof] * along;
@@ -247,17 +262,17 @@ void Collision::differentiate(const Kinematics& now, int id, double* slope) cons
 }
 
 // Return nᵀ(v_b − v_a) of the mocap bodies.
-double Collision::drift(const Kinematics& now, int id) const {
+double Collision::drift(const Kinematics& now, int id, const double* segment,
+                        const double* normal) const {
   double drift = 0.0;
   if (a_.mocaps == 0) return drift;
-  const double* normal = a_.normals + 3 * id;
   for (int side = 0; side < 2; ++side) {
     const std::int64_t mocap = a_.mocap[2 * id + side];
     if (mocap < 0) continue;
     const double* twist = a_.twist + 6 * mocap;
     const double* origin = now.xpos + 3 * a_.root[2 * id + side];
     double arm[3], moment[3];
-    for (int i = 0; i < 3; ++i) arm[i] = a_.segments[6 * id + 3 * side + i] - origin[i];
+    for (int i = 0; i < 3; ++i) arm[i] = segment[3 * side + i] - origin[i];
     cross(arm, normal, moment);
     const double speed = dot3(normal, twist) + dot3(moment, twist + 3);
     drift += side == 1 ? speed : -speed;

@@ -25,10 +25,13 @@ struct PairArrays {
   const double *spread, *width, *sign, *carries, *moves;  // carries and moves (p, nv)
   const double* precision;  // the distance that gives no direction, and what blurs a plane (2,)
   const double* twist;                              // of the mocap bodies (mocaps, 6)
+  const double* apart;                              // the way that nearest points jump, at least
   // What a step leaves to the next.
   double *bound, *threshold, *distance, *segments, *normals;
   std::uint8_t *active, *measured;
   double *room, *travel;
+  double* contacts;                                 // (p, 4, 9)
+  std::int64_t* contact_count;                      // (p,)
   double *position, *quaternion, *seen_position, *seen_quaternion;
 };
 
@@ -44,6 +47,9 @@ class Collision final : public Barrier {
   Collision(const PairArrays& arrays, const MuJoCo& mujoco);
 
   void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
+  void kept(const Kinematics& now, Near& near) override;
+  int most_kept() const override { return most_contacts * a_.pairs; }
+  void forget() override;
   double distance(const Kinematics& at, int id) const override;
   double reach(int id, const double* step, double dt) const override;
   double thickness(int id) const override { return a_.thickness[id]; }
@@ -62,6 +68,11 @@ class Collision final : public Barrier {
   double bend(int id, double reach, const double* speed, const double* change) const;
 
  private:
+  static constexpr double leave = 1.2;     // rmrc.problem.limits.collision.LEAVE
+  static constexpr int most_contacts = 3;  // rmrc.problem.limits.contacts.KEPT
+  static constexpr int contact = 9;        // numbers of one contact, and of those of a pair
+  static constexpr int contacts_of_pair = (most_contacts + 1) * contact;
+
   template <class Action>
   void each_active(Action action) const;
   double bound(const Kinematics& now);
@@ -75,8 +86,17 @@ class Collision final : public Barrier {
   void look(const Kinematics& now);
   void release(const Kinematics& now, double motion);
   void direct(const Kinematics& now, int id);
-  void differentiate(const Kinematics& now, int id, double* slope) const;
-  double drift(const Kinematics& now, int id) const;
+  void write(const Kinematics& now, int id, const double* segment, const double* normal,
+             double distance, Near& near) const;
+  void differentiate(const Kinematics& now, int id, const double* segment, const double* normal,
+                     double* slope) const;
+  double drift(const Kinematics& now, int id, const double* segment, const double* normal) const;
+
+  void see_contact(const Kinematics& now, int id);
+  void write_contacts(const Kinematics& now, int id, Near& near) const;
+  int contact_place(const Kinematics& now, int id) const;
+  void contact_segment(const Kinematics& now, int id, const double* points, double* segment) const;
+  bool is_same(int id, const double* one, const double* other) const;
   GeomPair pair(int id) const;
 
   PairArrays a_;

@@ -15,30 +15,30 @@ constexpr double fastest_rate = 1e6;
 
 }  // namespace
 
-bool Correction::raise_rows(const Kinematics& end, const double* lb, const double* ub, double dt,
-                            double* lower) const {
+void Correction::begin() { std::fill_n(raised_.begin(), rows_.count(), 0.0); }
+
+void Correction::see(const Kinematics& end, double time) {
+  const double aside = spare * rows_.resolution();
+  for (const Block& block : rows_.blocks()) {
+    for (int row = block.first; row < block.first + block.count; ++row) {
+      const double after = block.barrier->distance(end, static_cast<int>(rows_.arrays().ids[row]));
+      const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + aside - after;
+      if (!(shortfall > aside)) continue;
+      raised_[row] = std::max(raised_[row], enough / time * shortfall);
+    }
+  }
+}
+
+bool Correction::raise_rows(const double* lb, const double* ub, double* lower) const {
   bool fell_short = false;
   for (const Block& block : rows_.blocks()) {
-    if (!raise_block(block, end, dt, lower)) continue;
+    const auto first = raised_.begin() + block.first;
+    if (std::all_of(first, first + block.count, [](double more) { return more == 0.0; })) continue;
     fell_short = true;
     for (int row = block.first; row < block.first + block.count; ++row) {
       const double most = fastest(row, lb, ub);
-      lower[row] = std::min(lower[row], most - inside * std::abs(most));
+      lower[row] = std::min(lower[row] + raised_[row], most - inside * std::abs(most));
     }
-  }
-  return fell_short;
-}
-
-bool Correction::raise_block(const Block& block, const Kinematics& end, double dt,
-                             double* lower) const {
-  const double aside = spare * rows_.resolution();
-  bool fell_short = false;
-  for (int row = block.first; row < block.first + block.count; ++row) {
-    const double after = block.barrier->distance(end, static_cast<int>(rows_.arrays().ids[row]));
-    const double shortfall = std::min(rows_.arrays().distance[row], 0.0) + aside - after;
-    if (!(shortfall > aside)) continue;
-    lower[row] += enough / dt * shortfall;
-    fell_short = true;
   }
   return fell_short;
 }

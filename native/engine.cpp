@@ -69,9 +69,8 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
       exact_(constants_.dofs.size()),
       v_previous_(constants_.dofs.size()),
       a_previous_(constants_.dofs.size()),
-      speed_(constants_.dofs.size()),
-      steps_(constants_.dofs.size()),
-      change_(constants_.dofs.size()) {
+      planned_(constants_.dofs.size()),
+      least_norm_(constants_.dofs.size()) {
   brake_.resize(v_.size());
 }
 
@@ -90,6 +89,7 @@ void Engine::limit(Rows& limits, Shortening* shortening) {
   correction_.emplace(limits);
   for (auto* values : {&whole_, &shortened_, &first_z_}) values->resize(v_.size());
   for (auto* values : {&first_y_, &lower_, &upper_}) values->resize(limits.capacity());
+  if (limits.speed_count() > 0) plain_.resize(v_.size() * v_.size());
   renew_solver();
 }
 
@@ -162,12 +162,20 @@ Ending Engine::solve(const double* q, double dt, double seconds) {
   assemble(dt);
   if (equalities_ != nullptr) update_equalities();
   if (limits_ != nullptr) limits_->update(program_.lb, program_.ub, dt);
-  const bool warm = warm_ && cascade_ == nullptr;
-  Ending ending = best();
-  if (!trusted(ending)) ending = descend_ladder(ending, warm);
+  Ending ending = certified_best();
+  while (cuts_ && in_time() && cut()) ending = certified_best();
+  slow_down();
   if (softened_ && missed_softly() > inconsistent) relaxed_ = true;
   if (shortening_ != nullptr && limits_->count() > 0) at_distance(dt);
+  if (bent_) std::copy(plain_.begin(), plain_.end(), program_.H);
   return ending;
+}
+
+// Solve the program; where that fails, return how what the ladder has ends.
+Ending Engine::certified_best() {
+  const bool warm = warm_ && cascade_ == nullptr;
+  const Ending ending = best();
+  return trusted(ending) ? ending : descend_ladder(ending, warm);
 }
 
 void Engine::evaluate(const double* q) {
@@ -194,7 +202,8 @@ void Engine::evaluate_terms() {
 
 bool Engine::assemble(double dt) {
   dt_ = dt;
-  moved_ = boxed_ = relaxed_ = false;
+  moved_ = boxed_ = relaxed_ = bent_ = false;
+  cuts_ = limits_ != nullptr && limits_->speed_count() > 0;
   share_ = 1.0;
   for (ForeignRows* term : foreign_) term->read();
   rates(dt);
@@ -382,23 +391,17 @@ bool Engine::trusted(Ending ending) const {
   return largest <= certified || largest <= certified * std::sqrt(dot(g, g, size()));
 }
 
-// Write the point of the box nearest to rest (n,).
-// Write the point of the box nearest to rest; a ball joint goes on about its axis.
+// Find what braking as the step before has looked at it leaves of the velocity.
+void Engine::plan() {
+  braked(box_.limits(), v_previous_.data(), dt_, mujoco_.qpos, planned_.data());
+}
+
+// Write the point of the box nearest to the next one on the way to rest (n,).
 void Engine::brake(double* v) {
-  const JointLimits& limits = box_.limits();
-  std::fill_n(v, size(), 0.0);
-  if (!limits.balls.empty()) {
-    for (int i = 0; i < size(); ++i) speed_[i] = std::abs(v_previous_[i]);
-    braking(limits.acceleration, limits.balls, speed_.data(), dt_, steps_.data(), change_.data());
-    for (const int first : limits.balls) {
-      for (int i = first; i < first + 3; ++i) {
-        if (steps_[i] > 1.0) v[i] = v_previous_[i] - v_previous_[i] / steps_[i];
-      }
-    }
-  }
+  plan();
   bool finite = true;
   for (int i = 0; i < size(); ++i) {
-    v[i] = std::min(std::max(v[i], program_.lb[i]), program_.ub[i]);
+    v[i] = std::min(std::max(planned_[i], program_.lb[i]), program_.ub[i]);
     finite &= std::isfinite(v[i]);
   }
   if (!finite) std::fill_n(v, size(), 0.0);

@@ -103,6 +103,11 @@ class Engine {
   /// Forget the last solution, so that the next solve starts cold.
   void forget();
 
+  /// Forget what the rows know of the steps before that is more than where things are.
+  void forget_rows() {
+    if (limits_ != nullptr) limits_->forget();
+  }
+
   /// Go through what there is to keep between two solves, if others come between them.
   void keep(Memory& memory);
 
@@ -190,10 +195,12 @@ class Engine {
   Ending attempt();
   Program program() const;
   Ending best();
+  Ending certified_best();
   Ending solve_levels();
   bool trusted(Ending ending) const;
   void renew_solver();
   void brake(double* v);
+  void plan();
 
   Ending descend_ladder(Ending ending, bool warm);
   bool feasible(Ending ending) const;
@@ -202,6 +209,8 @@ class Engine {
   Ending without_rows();
   Ending stop(Ending ending);
 
+  bool cut();
+  void slow_down();
   void at_distance(double dt);
   void keep_distances(double dt);
   bool misses() const;
@@ -233,6 +242,9 @@ class Engine {
   std::optional<LeastViolation> least_;
   bool moved_ = false, boxed_ = false, relaxed_ = false;
   bool softened_ = false;  // whether hard tasks that bend are a cost at this step
+  bool cuts_ = false;      // whether planes may be added, as nothing of the program was relaxed
+  bool bent_ = false;      // whether H has the curvature of speeds
+  std::vector<double> plain_;  // H without it (n, n)
   double share_ = 1.0;
   std::vector<double> lower_, upper_, right_;  // what limits were moved to
   std::vector<double> whole_, brake_, shortened_, first_z_, first_y_, first_w_;
@@ -256,7 +268,8 @@ class Engine {
   std::optional<Cholesky> gram_factor_;
   std::vector<double> unfed_;      // ẋ of a term without its feed-forward (nv,)
   std::vector<double> v_previous_, a_previous_;  // of the dofs (n,)
-  std::vector<double> speed_, steps_, change_;   // of a brake (n,)
+  std::vector<double> planned_;  // what braking leaves of the velocity (n,)
+  std::vector<double> least_norm_;  // least v that holds E v = f (n,)
 };
 
 }  // namespace rmrc

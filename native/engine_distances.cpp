@@ -1,5 +1,6 @@
-// What of the engine's step keeps distances: its command, once the program is solved, is solved
-// again for the curvature of the step, or shortened (rmrc.control.engine, `_at_distance`).
+// What of the engine's step keeps distances and the speeds of frames: its command, once the program
+// is solved, is solved again for the curvature of the step or of the speeds, or shortened
+// (rmrc.control.engine, `_cut` and `_at_distance`).
 
 #include <algorithm>
 #include <cmath>
@@ -24,9 +25,12 @@ void Engine::at_distance(double dt) {
   const bool relaxed = relaxed_;
   keep_distances(dt);
   if (share_ == 1.0 || boxed_ || !in_time()) return;
-  const Kinematics& led_to = shortening_->end(whole_.data(), dt);
+  correction_->begin();
+  correction_->see(shortening_->there(), shortening_->go_to_end(whole_.data(), dt));
+  const double rest = shortening_->go_to_rest(whole_.data(), dt);
+  if (rest > 0.0) correction_->see(shortening_->there(), rest);
   move_limits();
-  if (!correction_->raise_rows(led_to, program_.lb, program_.ub, dt, lower_.data())) return;
+  if (!correction_->raise_rows(program_.lb, program_.ub, lower_.data())) return;
   const Outcome first{residuals_, iterations_, share_, relaxed_};
   double* y = limits_->arrays().multiplier;
   shortened_ = v_;
@@ -36,7 +40,9 @@ void Engine::at_distance(double dt) {
     std::copy_n(equalities_->arrays().multiplier, equalities_->count(), first_w_.begin());
   }
   relaxed_ = relaxed;
-  if (trusted(best())) {
+  Ending corrected = best();
+  while (trusted(corrected) && cut()) corrected = best();
+  if (trusted(corrected) && !(limits_->excess(v_.data()) > 0.0)) {
     keep_distances(dt);
     if (share_ > first.share + gained) return;
   }
@@ -66,40 +72,49 @@ void Engine::keep_distances(double dt) {
 // Whether the brake goes on otherwise than the joints would stop by themselves, as where they come
 // back into their ranges: its way to rest is then not what the step before has looked at.
 bool Engine::is_forced() const {
-  const JointLimits& limits = box_.limits();
-  std::vector<int>::const_iterator ball = limits.balls.begin();
   for (int i = 0; i < size(); ++i) {
-    while (ball != limits.balls.end() && *ball + 3 <= i) ++ball;
-    const bool turns = ball != limits.balls.end() && *ball <= i;
-    const double a = limits.acceleration[i];
-    if (turns || !std::isfinite(a)) continue;  // a ball brakes about its axis
-    const double left = std::max(std::abs(v_previous_[i]) - a * dt_, 0.0);
-    if (std::abs(brake_[i]) > left + forced) return true;
+    if (!std::isfinite(box_.limits().acceleration[i])) continue;
+    if (std::abs(brake_[i]) > std::abs(planned_[i]) + forced) return true;
   }
   return false;
 }
 
 // Whether a shortened command misses equalities, or is faster than a frame may be: of a speed its
-// norm counts, not the box inside it that the rows are.
+// norm counts, not the planes that stand for it.
 bool Engine::misses() const {
   const Program limits = program();
   for (int r = 0; r < limits.equalities; ++r) {
     const double* row = limits.E + static_cast<long>(r) * size();
     if (std::abs(dot(row, v_.data(), size()) - limits.f[r]) > certified) return true;
   }
-  const RowArrays& rows = limits_->arrays();
-  double worst = 0.0;
-  for (int first = 0; first < limits_->speed_count(); first += 3) {
-    double speed = 0.0, most = 0.0;
-    for (int row = first; row < first + 3; ++row) {
-      const double along =
-          dot(rows.matrix + static_cast<long>(row) * size(), v_.data(), size());
-      speed += along * along;
-      most += rows.upper[row] * rows.upper[row];
-    }
-    worst = std::max(worst, std::sqrt(speed) - std::sqrt(most));
+  return limits_->excess(v_.data()) > certified;
+}
+
+// Change the program where v moves frames too fast; return whether it was. The programs of a cascade
+// have no cost in common that the curvature could be added to.
+bool Engine::cut() {
+  const bool curved = cascade_ == nullptr;
+  if (curved && !bent_) std::copy_n(program_.H, plain_.size(), plain_.begin());
+  const bool changed =
+      limits_->cut(v_.data(), curved ? program_.H : nullptr, plain_.data());
+  bent_ |= curved && changed;
+  if (changed && moved_) {
+    std::copy_n(limits_->arrays().upper, limits_->speed_count(), upper_.begin());
   }
-  return worst > certified;
+  return changed;
+}
+
+// Have no frame faster than it may be, where v was not found by planes alone.
+void Engine::slow_down() {
+  if (limits_ == nullptr || limits_->speed_count() == 0 || limits_->excess(v_.data()) <= 0.0) {
+    return;
+  }
+  brake(brake_.data());
+  const double share = limits_->share_of_speeds(brake_.data(), v_.data());
+  if (share > 0.0 && share < 1.0) {
+    for (int i = 0; i < size(); ++i) v_[i] = brake_[i] + share * (v_[i] - brake_[i]);
+  }
+  relaxed_ |= misses();
 }
 
 }  // namespace rmrc

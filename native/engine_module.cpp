@@ -73,7 +73,7 @@ class BoundEngine {
               double floor, double least_curvature,
               bool brakes, double soft_ratio,
               const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                               Numbers, Numbers, std::vector<int>>& limits,
+                               Numbers, Numbers>& limits,
               Writing H, Writing g, Writing added_damping, Writing inertia, Writing lb, Writing ub,
               int max_iter)
       : kept_{model,               data,
@@ -118,14 +118,14 @@ class BoundEngine {
         static_cast<int>(nv),
         qpos.data(),
         cdof.data()};
-    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step, balls] = limits;
+    const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step] = limits;
     for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk, &step}) {
       require(*values, n, "a limit");
     }
     require(coordinate, n, "a limit");
     for (const int at : coordinate) require_index(at, mujoco.nq, "coordinate");
-    for (const int first : balls) {
-      require_index(first, static_cast<int>(n) - 2, "a ball joint's first dof");
+    for (const double a : acceleration) {
+      if (!(a > 0.0)) throw std::invalid_argument("an acceleration is not positive");
     }
     engine_ = std::make_unique<Engine>(
         mujoco,
@@ -135,7 +135,7 @@ class BoundEngine {
                       added_damping.data(), inertia.data(), a_previous.data()},
         Constants{std::move(dofs), std::move(hessian), unit, share_of_inertia, floor, least_curvature,
                   brakes, soft_ratio},
-        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step, balls},
+        JointLimits{coordinate, lower, upper, gain, velocity, acceleration, jerk, step},
         max_iter);
   }
 
@@ -446,7 +446,7 @@ void bind_engine(nb::module_& m) {
                     Reading, Writing, Writing, Writing, Writing, Reading, Reading,
                     std::vector<int>, Numbers, double, double, double, double, bool, double,
                     const std::tuple<std::vector<int>, Numbers, Numbers, double, Numbers, Numbers,
-                                     Numbers, Numbers, std::vector<int>>&,
+                                     Numbers, Numbers>&,
                     Writing, Writing, Writing, Writing, Writing, Writing, int>(),
            nb::kw_only(), "functions"_a, "model"_a, "data"_a, "qpos"_a.noconvert(),
            "cdof"_a.noconvert(), "error"_a.noconvert(), "feedforward"_a.noconvert(),

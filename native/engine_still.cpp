@@ -13,6 +13,7 @@ namespace {
 constexpr double longest = 3.0;    // rmrc.qp.curvature.LONGEST
 constexpr double weak = 0.02;      // rmrc.qp.yielding.WEAK
 constexpr double spared = 0.005;   // rmrc.qp.yielding.SPARED
+constexpr double slight = 1e-12;    // rmrc.qp.yielding.SLIGHT
 constexpr double resolved = 1e-12;  // rmrc.qp.yielding.RESOLVED
 constexpr double at_bound = 1e-7;  // rmrc.qp.yielding.AT_BOUND
 
@@ -92,15 +93,15 @@ void Engine::update_equalities() {
 bool Engine::cannot_hold() {
   if (equalities_->inconsistent()) return true;
   const auto hard = [](const RowTerm& term) { return term.is_hard(); };
-  equalities_->least_norm(change_.data());
-  if (is_weak(change_.data(), hard)) return true;
+  equalities_->least_norm(least_norm_.data());
+  if (is_weak(least_norm_.data(), hard)) return true;
   double faster = 1.0;
   for (int i = 0; i < size(); ++i) {
     const double limit = box_.limits().velocity[i];
-    if (limit > 0.0) faster = std::max(faster, std::abs(change_[i]) / limit);
+    if (limit > 0.0) faster = std::max(faster, std::abs(least_norm_[i]) / limit);
   }
-  for (int i = 0; i < size(); ++i) change_[i] /= faster;
-  return passes(change_.data(), hard);
+  for (int i = 0; i < size(); ++i) least_norm_[i] /= faster;
+  return passes(least_norm_.data(), hard);
 }
 
 // Whether V may rise where some terms that no cost draws get v: rmrc.qp.curvature.Curvature.passes.
@@ -141,7 +142,7 @@ bool Engine::turns_back() {
   int k = 0;
   for (const LevelTasks& tasks : levels_->tasks()) {
     if (tasks.hard && !softened_) continue;
-    const double* v = cascade_->optimum(k++);
+    const double* v = cascade_->directed(k++);
     if (v == nullptr) return false;
     const auto directed = [&](const RowTerm& term) {
       return std::any_of(tasks.parts.begin(), tasks.parts.end(), [&](const auto& part) {
@@ -151,7 +152,8 @@ bool Engine::turns_back() {
     const bool any = std::any_of(rows_.begin(), rows_.end(), [&](const auto& term) {
       return term->exact() && directed(*term);
     });
-    if (any && (passes(v, directed) || is_weak(v, directed))) return true;
+    if (!any || std::sqrt(dot(v, v, size())) < slight) continue;
+    if (passes(v, directed) || is_weak(v, directed)) return true;
   }
   return false;
 }

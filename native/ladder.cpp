@@ -25,6 +25,7 @@ Ending Engine::descend_ladder(Ending ending, bool warm) {
     ending = attempt();
     if (trusted(ending)) return ending;
   }
+  cuts_ = false;
   if (row_count() == 0 && equality_count() == 0) return feasible(ending) ? ending : stop(ending);
   if (!feasible(ending) && in_time() && relax()) ending = within_relaxed();
   if (trusted(ending) || feasible(ending)) return ending;

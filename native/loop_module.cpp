@@ -16,9 +16,9 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.controller.FAILED and rmrc.control.step.Status.INVALID_INPUT
-constexpr unsigned invalid_input = 1u << 10;
-constexpr unsigned failed = (1u << 7) | (1u << 8) | (1u << 9) | invalid_input;
+constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.step.Status.INVALID_INPUT
+// rmrc.control.controller.FAILED
+constexpr unsigned failed = (1u << 7) | (1u << 8) | (1u << 9) | (1u << 10);
 
 // Interned names of this process.
 struct Names {
@@ -95,15 +95,18 @@ PyObject* set_target(PyObject* self, PyObject* const* arguments, std::size_t fla
   return Py_NewRef(Py_True);
 }
 
-// Take note of how a step has ended, and of a target that was refused before it.
-bool note(PyObject* controller, Summary& summary) {
+// Whether an input was refused since the last step: Python says what was wrong with it.
+bool has_refused(PyObject* controller) {
   const nb::object refused = nb::steal(PyObject_GetAttr(controller, names.refused));
+  if (refused.is_valid()) return PyObject_IsTrue(refused.ptr()) != 0;
+  PyErr_Clear();
+  return true;
+}
+
+// Take note of how a step has ended.
+bool note(PyObject* controller, const Summary& summary) {
   const nb::object failures = nb::steal(PyObject_GetAttr(controller, names.failures));
-  if (!refused.is_valid() || !failures.is_valid()) return false;
-  if (refused.ptr() != Py_False) {
-    summary.flags |= invalid_input;
-    if (PyObject_SetAttr(controller, names.refused, Py_False) != 0) return false;
-  }
+  if (!failures.is_valid()) return false;
   const long before = PyLong_AsLong(failures.ptr());
   if (before == -1 && PyErr_Occurred() != nullptr) return false;
   const bool counts = (summary.flags & failed) != 0;
@@ -119,8 +122,8 @@ PyObject* step(PyObject* self, PyObject* const* arguments, std::size_t flagged,
   PyObject* sorted[4] = {};  // v and age are for controllers that nothing is quick for
   nb::object kept;
   BoundStepper* quick = count < 1 ? nullptr : quick_of(arguments[0], kept);
-  if (quick == nullptr) return in_python(self, arguments, flagged, keywords);
-  if (!sort(arguments + 1, count - 1, keywords, 4, names.step, sorted)) {
+  if (quick == nullptr || has_refused(arguments[0]) ||
+      !sort(arguments + 1, count - 1, keywords, 4, names.step, sorted)) {
     return in_python(self, arguments, flagged, keywords);
   }
   const auto [q, dt, v, age] = sorted;

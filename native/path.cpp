@@ -2,9 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
-
-#include "box.hpp"
 
 namespace rmrc {
 
@@ -14,24 +11,23 @@ constexpr double most_steps = 9007199254740992.0;  // rmrc.control.shorten.MOST_
 
 }  // namespace
 
-Path::Path(std::vector<double> deceleration, std::vector<int> balls)
-    : deceleration_(std::move(deceleration)),
-      balls_(std::move(balls)),
-      slows_(std::all_of(deceleration_.begin(), deceleration_.end(),
+Path::Path(const JointLimits& limits)
+    : limits_(&limits),
+      slows_(std::all_of(limits.acceleration.begin(), limits.acceleration.end(),
                          [](double a) { return std::isfinite(a); })),
-      sign_(deceleration_.size()),
-      speed_(deceleration_.size()),
-      steps_(deceleration_.size()),
-      change_(deceleration_.size()) {}
+      sign_(limits.acceleration.size()),
+      speed_(limits.acceleration.size()),
+      steps_(limits.acceleration.size()),
+      change_(limits.acceleration.size()) {}
 
-void Path::set_out(const double* v, double dt) {
+void Path::set_out(const double* v, double dt, const double* q) {
   dt_ = dt;
   last_ = 0.0;
   for (int i = 0; i < size(); ++i) {
     sign_[i] = v[i] > 0.0 ? 1.0 : v[i] < 0.0 ? -1.0 : 0.0;
     speed_[i] = std::abs(v[i]);
   }
-  braking(deceleration_, balls_, speed_.data(), dt, steps_.data(), change_.data());
+  braking(*limits_, v, dt, q, steps_.data(), change_.data());
   for (int i = 0; i < size(); ++i) {
     steps_[i] = std::floor(steps_[i]);
     if (!std::isfinite(change_[i])) change_[i] = 0.0;

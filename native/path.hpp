@@ -3,25 +3,27 @@
 
 #include <vector>
 
+#include "box.hpp"
+
 namespace rmrc {
 
-/// The way of a step with v, and of those after it, the ith of which has |v| − i a dt left:
+/// The way of a step with v, and of those after it, in which the joints brake:
 /// rmrc.control.shorten._Path.
 ///
 /// Its places are counted in steps: 0 is the present configuration, 1 where v leads, and at `last`
 /// all joints rest.
 class Path {
  public:
-  /// `deceleration` (n,) is a, ∞ without a limit; `balls` are the first entries of ball joints.
-  Path(std::vector<double> deceleration, std::vector<int> balls);
+  /// The limits of the joints must live as long.
+  explicit Path(const JointLimits& limits);
 
-  /// Begin the way of v (n,) in steps of dt.
-  void set_out(const double* v, double dt);
+  /// Begin the way of v (n,) in steps of dt at q (nq,), or where no range ends if it is null.
+  void set_out(const double* v, double dt, const double* q);
 
   /// Write how far the joints have moved at a place (n,).
   void way(double place, double* way) const;
 
-  int size() const { return static_cast<int>(deceleration_.size()); }
+  int size() const { return static_cast<int>(speed_.size()); }
   double last() const { return last_; }
 
   /// Whether each joint comes to rest.
@@ -39,8 +41,7 @@ class Path {
   }
 
  private:
-  std::vector<double> deceleration_;
-  std::vector<int> balls_;
+  const JointLimits* limits_;
   bool slows_;
   double dt_ = 0.0, last_ = 1.0;
   // Of each joint its sign and speed, the whole steps it takes to rest, and the change in each.

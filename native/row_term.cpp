@@ -270,6 +270,7 @@ void RowTerm::moment(const WayPoint& point, const double* wrench, double* u) con
 }
 
 double RowTerm::bent(const double* x, const double* u) {
+  if (!(counts_ || exact())) return 0.0;
   const std::vector<double>& root = counts_ ? root_ : exact_root_;
   const int rows = data_.rows;
   const bool full = static_cast<int>(root.size()) > rows;

@@ -96,8 +96,7 @@ BoundKinematics make_kinematics(nb::object data, const nb::dict& arrays) {
 
 class BoundRows {
  public:
-  BoundRows(nb::handle engine, const BoundKinematics& now, Numbers inverse_acceleration,
-            Writing matrix, Writing lower, Writing upper, Writing multiplier, Integers ids,
+  BoundRows(nb::handle engine, const BoundKinematics& now, Writing matrix, Writing lower, Writing upper, Writing multiplier, Integers ids,
             Writing distance, Writing slope, Writing drift)
       : kept_(kept_by(engine)), counts_(now.counts) {
     for (const Writing* array :
@@ -114,14 +113,14 @@ class BoundRows {
     require_countable(static_cast<std::int64_t>(capacity), static_cast<std::int64_t>(nv));
     if (matrix.size() != capacity * n || upper.size() != capacity ||
         multiplier.size() != capacity || ids.size() != capacity || distance.size() != capacity ||
-        slope.size() != capacity * nv || drift.size() != capacity ||
-        inverse_acceleration.size() != n) {
+        slope.size() != capacity * nv || drift.size() != capacity) {
       throw std::invalid_argument("the rows' arrays do not fit each other");
     }
     const int* place = native.stack().place;
+    v_previous_ = native.stack().v_previous;
     rows_ = std::make_unique<Rows>(
         native.mujoco(), now.arrays, native.dofs(), std::vector<int>(place, place + nv),
-        std::move(inverse_acceleration),
+        native.joint_limits(), native.stack().v_previous,
         RowArrays{matrix.data(), lower.data(), upper.data(), multiplier.data(), ids.data(),
                   distance.data(), slope.data(), drift.data()},
         static_cast<int>(capacity));
@@ -165,7 +164,8 @@ class BoundRows {
       kept_.push_back(nb::cast(*array));
     }
     rows_->add(SpeedRows({position.data(), rotation.data(), reference.data(), std::move(dofs)},
-                         turned, linear, angular, rate.data(), rows_->mujoco().cdof));
+                         turned, linear, angular, rate.data(), v_previous_, rows_->place(),
+                         static_cast<int>(rows_->dofs().size()), rows_->mujoco().cdof));
   }
 
   void add_collision(double d_min, double detect, double gain, double push, Reading twist,
@@ -220,6 +220,9 @@ class BoundRows {
     a.measured = fields.flags("measured", p);
     a.room = fields.doubles("room", 1);
     a.travel = fields.doubles("travel", width);
+    a.apart = fields.doubles("apart", p);
+    a.contacts = fields.doubles("contacts", 36 * p);
+    a.contact_count = fields.integers("contact_count", p);
     a.position = fields.doubles("position", 3 * bodies);
     a.quaternion = fields.doubles("quaternion", 4 * bodies);
     a.seen_position = fields.doubles("seen_position", 3 * bodies);
@@ -233,6 +236,7 @@ class BoundRows {
     for (std::size_t k = 0; k < p; ++k) {
       require_index(a.base[k], static_cast<std::int64_t>(counts_.geoms), "geom");
       require_index(a.other[k], static_cast<std::int64_t>(counts_.geoms), "geom");
+      require_index(a.contact_count[k], 4, "number of contacts");
     }
     for (std::size_t k = 0; k < nv; ++k) require_index(a.dof_root[k], a.bodies, "body");
     kept_.push_back(nb::cast(twist));
@@ -303,6 +307,12 @@ class BoundRows {
     rows_->add(std::make_unique<TendonRange>(std::move(made), gain, push, rows_->mujoco().nv));
   }
 
+  std::vector<std::tuple<int, int>> kept_blocks() const {
+    std::vector<std::tuple<int, int>> found;
+    for (const Block& block : rows_->kept_blocks()) found.emplace_back(block.first, block.count);
+    return found;
+  }
+
   std::vector<std::tuple<int, int>> blocks() const {
     std::vector<std::tuple<int, int>> found;
     for (const Block& block : rows_->blocks()) found.emplace_back(block.first, block.count);
@@ -320,6 +330,7 @@ class BoundRows {
   }
 
   std::vector<nb::object> kept_;
+  const double* v_previous_ = nullptr;  // of the engine's stack
   Counts counts_;
   bool closed_ = false;
   std::unique_ptr<Rows> rows_;
@@ -327,11 +338,9 @@ class BoundRows {
 
 class BoundShortening {
  public:
-  BoundShortening(nb::object rows, const BoundKinematics& own, Numbers deceleration,
-                  std::vector<int> balls, Reading twist)
+  BoundShortening(nb::object rows, const BoundKinematics& own, Reading twist)
       : kept_{rows, own.data, own.kept, nb::cast(twist)},
-        native_(checked(rows, own, deceleration, twist), own.arrays, deceleration,
-                checked_balls(rows, std::move(balls)), twist.data(),
+        native_(checked(rows, own, twist), own.arrays, twist.data(),
                 static_cast<int>(twist.size() / 6)) {}
 
   void follow(nb::object kinematics) {
@@ -346,23 +355,12 @@ class BoundShortening {
   Shortening& operator*() { return native_; }
 
  private:
-  static std::vector<int> checked_balls(nb::handle rows, std::vector<int> balls) {
-    const int n = static_cast<int>(rows_of(rows).dofs().size());
-    for (const int first : balls) require_index(first, n - 2, "a ball joint's first dof");
-    return balls;
-  }
-
-  static Rows& checked(nb::handle rows, const BoundKinematics& own, const Numbers& deceleration,
-                       const Reading& twist) {
+  static Rows& checked(nb::handle rows, const BoundKinematics& own, const Reading& twist) {
     Rows& native = rows_of(rows);
     if (own.counts != nb::cast<BoundRows&>(rows).counts()) {
       throw std::invalid_argument("the kinematics are another model's");
     }
-    require(deceleration, native.dofs().size(), "deceleration");
     require(twist, 6 * own.counts.mocaps, "twist");
-    for (const double a : deceleration) {
-      if (!(a > 0.0)) throw std::invalid_argument("a deceleration is not positive");
-    }
     return native;
   }
 
@@ -384,9 +382,9 @@ void bind_rows(nb::module_& m) {
   nb::class_<BoundKinematics>(m, "Kinematics", "Where the arrays of an mjData stand.")
       .def(nb::new_(&make_kinematics), "data"_a, "arrays"_a);
   nb::class_<BoundRows>(m, "Rows", "The rows of a step, in the arrays that it is given.")
-      .def(nb::init<nb::handle, const BoundKinematics&, Numbers, Writing, Writing, Writing,
-                    Writing, Integers, Writing, Writing, Writing>(),
-           nb::kw_only(), "engine"_a, "now"_a, "inverse_acceleration"_a, "matrix"_a.noconvert(),
+      .def(nb::init<nb::handle, const BoundKinematics&, Writing, Writing, Writing, Writing,
+                    Integers, Writing, Writing, Writing>(),
+           nb::kw_only(), "engine"_a, "now"_a, "matrix"_a.noconvert(),
            "lower"_a.noconvert(), "upper"_a.noconvert(), "multiplier"_a.noconvert(),
            "ids"_a.noconvert(), "distance"_a.noconvert(), "slope"_a.noconvert(),
            "drift"_a.noconvert())
@@ -411,11 +409,12 @@ void bind_rows(nb::module_& m) {
           },
           "lb"_a, "ub"_a, "dt"_a, "Write the rows at the present kinematics.")
       .def_prop_ro("blocks", &BoundRows::blocks, "First row and number of rows of each barrier.")
+      .def_prop_ro("kept_blocks", &BoundRows::kept_blocks,
+                   "The same of those that bound their distances from above.")
       .def_prop_ro("count", [](BoundRows& bound) { return (*bound).count(); })
       .def_prop_ro("passed", [](BoundRows& bound) { return (*bound).passed(); });
   nb::class_<BoundShortening>(m, "Shortening", "How much of a command may be carried out.")
-      .def(nb::init<nb::object, const BoundKinematics&, Numbers, std::vector<int>, Reading>(), nb::kw_only(),
-           "rows"_a, "own"_a, "deceleration"_a, "balls"_a,
+      .def(nb::init<nb::object, const BoundKinematics&, Reading>(), nb::kw_only(), "rows"_a, "own"_a,
            "twist"_a.noconvert())
       .def("follow", &BoundShortening::follow, "kinematics"_a,
            "Place what the barriers look at by these, in place of MuJoCo's.")

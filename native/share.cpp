@@ -35,7 +35,7 @@ Share Shortening::share(const double* v, const double* brake, double dt,
     blend(v, brake, high, dt);
     if (worst(0.0)) return {high, false};
   }
-  path_.set_out(brake, dt);
+  path_.set_out(brake, dt, rows_.now().qpos);
   // What the step before has left may be used up by rounding.
   if (!is_over(end_)) {
     const bool kept = worst(-tolerance_);
@@ -74,13 +74,26 @@ double Shortening::guess(const double* v, const double* brake, double high, doub
 // Set out with a share of v from the brake on.
 void Shortening::blend(const double* v, const double* brake, double share, double dt) {
   for (int i = 0; i < n_; ++i) command_[i] = brake[i] + share * (v[i] - brake[i]);
-  path_.set_out(command_.data(), dt);
+  path_.set_out(command_.data(), dt, rows_.now().qpos);
 }
 
-const Kinematics& Shortening::end(const double* v, double dt) {
-  for (int i = 0; i < n_; ++i) command_[i] = v[i] * dt;
+double Shortening::go_to_end(const double* v, double dt) {
+  path_.set_out(v, dt, rows_.now().qpos);
+  path_.way(1.0, command_.data());
   put(command_.data());
-  return own_;
+  return dt;
+}
+
+double Shortening::go_to_rest(const double* v, double dt) {
+  path_.set_out(v, dt, rows_.now().qpos);
+  if (path_.last() == 1.0) return 0.0;
+  path_.way(path_.last(), command_.data());
+  put(command_.data());
+  int most = 0;
+  for (int i = 1; i < n_; ++i) {
+    if (std::abs(v[i]) > std::abs(v[most])) most = i;
+  }
+  return command_[most] / v[most];
 }
 
 }  // namespace rmrc

@@ -22,8 +22,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 
 }  // namespace
 
-Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
-                       std::vector<int> balls, const double* twist, int mocaps)
+Shortening::Shortening(const Rows& rows, const Kinematics& own, const double* twist, int mocaps)
     : rows_(rows),
       slides_(rows.slides()),
       tolerance_(tolerance * rows.resolution()),
@@ -33,7 +32,7 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, std::vector<doub
       twist_(twist),
       mocaps_(mocaps),
       n_(static_cast<int>(rows.dofs().size())),
-      path_(std::move(deceleration), std::move(balls)),
+      path_(rows.limits()),
       command_(n_),
       step_(mujoco_.nv),
       fast_(mujoco_.nv),
@@ -68,7 +67,7 @@ void Shortening::watch(const double* v, const double* brake, double dt) {
   for (int i = 0; i < n_; ++i) {
     command_[i] = brake == nullptr ? v[i] : std::max(std::abs(v[i]), std::abs(brake[i]));
   }
-  path_.set_out(command_.data(), dt);
+  path_.set_out(command_.data(), dt, brake == nullptr ? rows_.now().qpos : nullptr);
   double* way = ahead_[0].look.way.data();
   path_.way(path_.last(), way);
   for (int i = 0; i < n_; ++i) step_[rows_.dofs()[i]] = std::abs(way[i]);

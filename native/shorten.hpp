@@ -21,10 +21,8 @@ struct Share {
 /// Keeps distances at the configuration that a command leads to: rmrc.control.shorten.Shortening.
 class Shortening {
  public:
-  /// `own` are the kinematics of data of its own; `deceleration` (n,) is a_max, ∞ without a limit,
-  /// and `balls` are the first entries of ball joints.
-  Shortening(const Rows& rows, const Kinematics& own, std::vector<double> deceleration,
-             std::vector<int> balls, const double* twist, int mocaps);
+  /// `own` are the kinematics of data of its own.
+  Shortening(const Rows& rows, const Kinematics& own, const double* twist, int mocaps);
 
   /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
   void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
@@ -37,8 +35,13 @@ class Shortening {
   Share share(const double* v, const double* brake, double dt,
               QPSolver::Clock::time_point end = QPSolver::Clock::time_point::max());
 
-  /// Return the kinematics where v (n,) leads in a step of dt, behind a share for the same step.
-  const Kinematics& end(const double* v, double dt);
+  /// Go where v (n,) leads in a step of dt, or where it comes to rest, behind a share for the same
+  /// step; return how long the way there takes at v, 0 where the joints rest after the step.
+  double go_to_end(const double* v, double dt);
+  double go_to_rest(const double* v, double dt);
+
+  /// The kinematics there.
+  const Kinematics& there() const { return own_; }
 
  private:
   // An entry of a barrier that the motion could carry below what is allowed.

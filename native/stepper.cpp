@@ -40,9 +40,8 @@ Stepper::Stepper(Engine& engine, Progress progress, ControllerState state,
       size_(moving.size + v_begins + 2 * (engine.mujoco().nv + engine.mujoco().nq) +
             engine.size()),
       from_(engine.mujoco().nq),
-      speed_(engine.size()),
-      steps_(engine.size()),
-      change_(engine.size()) {
+      before_(engine.size()),
+      left_(engine.size()) {
   for (const KeptArray& array : kept_) size_ += array.size;
 }
 
@@ -86,18 +85,13 @@ void Stepper::brake(double dt) {
   std::copy_n(state_.v, engine_.mujoco().nv, state_.v_previous);
   std::fill_n(state_.v, engine_.mujoco().nv, 0.0);
   const JointLimits& limits = engine_.joint_limits();
+  for (int i = 0; i < engine_.size(); ++i) before_[i] = state_.v_previous[engine_.dofs()[i]];
+  braked(limits, before_.data(), dt, state_.q, left_.data());
   for (int i = 0; i < engine_.size(); ++i) {
-    speed_[i] = std::abs(state_.v_previous[engine_.dofs()[i]]);
-  }
-  braking(limits.acceleration, limits.balls, speed_.data(), dt, steps_.data(), change_.data());
-  for (int i = 0; i < engine_.size(); ++i) {
-    const int dof = engine_.dofs()[i];
-    const double before = state_.v_previous[dof], most = change_[i];
-    // What is faster than it may be sheds all that it can; about its axis a ball may shed less.
+    // What is faster than it may be sheds all that it can, not only its part.
     const double fastest =
-        std::max(limits.velocity[i], std::abs(before) - limits.acceleration[i] * dt);
-    const double braked = before - std::min(std::max(before, -most), most);
-    state_.v[dof] = std::min(std::max(braked, -fastest), fastest);
+        std::max(limits.velocity[i], std::abs(before_[i]) - limits.acceleration[i] * dt);
+    state_.v[engine_.dofs()[i]] = std::min(std::max(left_[i], -fastest), fastest);
   }
   progress_.reset();
   carry_out(dt);
@@ -113,6 +107,7 @@ void Stepper::reset(const double* q, const double* v) {
   std::copy_n(v, engine_.mujoco().nv, state_.v);
   progress_.reset();
   engine_.forget();
+  engine_.forget_rows();
 }
 
 void Stepper::keep(Memory& memory) {
@@ -145,7 +140,9 @@ void Stepper::write(double* out) const {
   for (const KeptArray& array : kept_) out = std::copy_n(array.values, array.size, out);
   out = std::copy_n(moving_.values, moving_.size, out);
   if (const Rows* rows = engine_.limits()) {
-    for (const Block& block : rows->blocks()) *out++ = block.count;
+    for (std::size_t k = 0; k < rows->blocks().size(); ++k) {
+      *out++ = rows->blocks()[k].count + rows->kept_blocks()[k].count;
+    }
     out = std::copy_n(rows->arrays().ids, rows->count(), out);
     for (const double* values :
          {rows->arrays().lower, rows->arrays().upper, rows->arrays().multiplier}) {

@@ -92,7 +92,7 @@ class Stepper {
   KeptFlags moving_;
   int size_;  // without the rows
   std::vector<double> from_;                    // (nq,)
-  std::vector<double> speed_, steps_, change_;  // of a brake (n,)
+  std::vector<double> before_, left_;  // v before and after a brake (n,)
   double dt_ = 0.0;
 };
 

@@ -221,7 +221,7 @@ void expect(bool holds, const char* what, int step) {
 
 // The same arm with a pair of geoms, a plane, and a limit of its end's speed.
 struct LimitedFixture : Fixture {
-  static constexpr int capacity = 5;
+  static constexpr int capacity = 5 + rmrc::planes;
   Arm own;
   double matrix[capacity * joints], lower[capacity], upper[capacity], multiplier[capacity];
   std::int64_t ids[capacity];
@@ -232,6 +232,8 @@ struct LimitedFixture : Fixture {
   double size[6] = {radius, 0, 0, radius, 0, 0}, radii[1] = {2.0 * radius};
   double thickness[1] = {radius}, levers[joints], side[joints], reach[2] = {0.0, 2.0 * radius};
   double spread[1] = {0.0}, width[1] = {2.0 * radius}, sign[1] = {1.0}, carries[joints] = {};
+  double apart[1] = {radius}, contacts[36] = {};
+  std::int64_t contact_count[1] = {};
   double precision[2] = {1e-9, 1e-3}, moves[joints], bound[1] = {-infinity}, threshold[1] = {0.1}, between[1] = {};
   double segments[6] = {}, normals[3] = {}, room[1] = {-infinity}, travel[joints] = {};
   double position[6] = {}, quaternion[8] = {}, seen_position[6], seen_quaternion[8];
@@ -247,17 +249,16 @@ struct LimitedFixture : Fixture {
     seen_position[0] = std::nan("");
     const std::vector<int> dofs{0, 1, 2, 3, 4};
     rows = std::make_unique<rmrc::Rows>(
-        engine->mujoco(), arrays_of(arm), dofs, dofs, std::vector<double>(joints, 1.0 / strongest),
+        engine->mujoco(), arrays_of(arm), dofs, dofs, engine->joint_limits(), v_previous,
         rmrc::RowArrays{matrix, lower, upper, multiplier, ids, distance, slope, drift}, capacity);
     rows->add(rmrc::SpeedRows({arm.position, arm.rotation, arm.com, dofs}, false, quickest, infinity,
-                              rate + 6, arm.cdof));
+                              rate + 6, engine->stack().v_previous, rows->place(), joints,
+                              arm.cdof));
     std::vector<rmrc::Plane> planes{{rmrc::Anchor::body, 1, 1, -1, {1.0, 0.0, 0.0}, plane, dofs,
                                      std::vector<double>(levers, levers + joints)}};
     rows->add(std::make_unique<rmrc::Workspace>(std::move(planes), 0.85, 0.1, nullptr, joints));
     rows->add(std::make_unique<rmrc::Collision>(pairs(), engine->mujoco()));
-    shortening = std::make_unique<rmrc::Shortening>(*rows, arrays_of(own),
-                                                    std::vector<double>(joints, strongest),
-                                                    std::vector<int>{}, nullptr, 0);
+    shortening = std::make_unique<rmrc::Shortening>(*rows, arrays_of(own), nullptr, 0);
     engine->limit(*rows, shortening.get());
   }
 
@@ -290,6 +291,9 @@ struct LimitedFixture : Fixture {
     a.carries = carries;
     a.moves = moves;
     a.precision = precision;
+    a.apart = apart;
+    a.contacts = contacts;
+    a.contact_count = contact_count;
     a.bound = bound;
     a.threshold = threshold;
     a.distance = between;

@@ -1,7 +1,6 @@
 """rmrc: resolved motion rate control on MuJoCo models, one quadratic program a step."""
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
     from rmrc.record.compare import Comparison, compare
     from rmrc.record.run import Run
 
-__version__ = version("rmrc")
+    __version__: str
 
 # Imported on use: the command line can then answer, and be interrupted, without MuJoCo and mink.
 _HOMES = {
@@ -94,6 +93,10 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("rmrc")
     if name == "reference":
         return import_module("rmrc.reference")
     if name not in _HOMES:

@@ -1,5 +1,24 @@
-"""`python -m rmrc` is the command line."""
+"""`rmrc` and `python -m rmrc`: the command line, which may be interrupted while it is imported."""
 
-from rmrc.cli import main
+import sys
 
-main()
+INTERRUPTED = 130
+"""Exit code of what is interrupted before there is anything to save, as a shell has it."""
+
+
+def main() -> None:
+    """Run the command line.
+
+    It takes a good part of a second to import, more than it takes to change one's mind.
+    """
+    try:
+        from rmrc.cli import main as run_command
+
+        run_command()
+    except KeyboardInterrupt:
+        print("rmrc: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

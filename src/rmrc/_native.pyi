@@ -100,7 +100,6 @@ class Engine:
             list[float],
             list[float],
             list[float],
-            list[int],
         ],
         H: Array,
         g: Array,
@@ -199,7 +198,6 @@ class Rows:
         *,
         engine: Engine,
         now: Kinematics,
-        inverse_acceleration: list[float],
         matrix: Array,
         lower: Array,
         upper: Array,
@@ -257,6 +255,8 @@ class Rows:
     @property
     def blocks(self) -> list[tuple[int, int]]: ...
     @property
+    def kept_blocks(self) -> list[tuple[int, int]]: ...
+    @property
     def count(self) -> int: ...
     @property
     def passed(self) -> bool: ...
@@ -269,8 +269,6 @@ class Shortening:
         *,
         rows: Rows,
         own: Kinematics,
-        deceleration: list[float],
-        balls: list[int],
         twist: Array,
     ) -> None: ...
     def follow(self, kinematics: ForwardKinematics) -> None: ...

@@ -10,10 +10,11 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
+from rich.markup import escape as escape_markup
 from rich.table import Table
 
-from rmrc.errors import RmrcError
+from rmrc.__main__ import INTERRUPTED
+from rmrc.errors import RmrcError, printable, printable_lines
 
 NOT_CONVERGED, WRONG_INPUT, OUR_FAULT = 1, 2, 3
 """Exit codes; 0 is success."""
@@ -44,7 +45,11 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(NOT_CONVERGED)
     except KeyboardInterrupt:
-        _complain("interrupted", NOT_CONVERGED)
+        _complain("interrupted", INTERRUPTED)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:  # typer's, which says nothing
+            _complain("interrupted", INTERRUPTED)
+        raise
     except OSError as failure:
         _complain(str(failure), WRONG_INPUT)
     except Exception as fault:  # the last resort: a traceback is for us, not for users
@@ -55,8 +60,19 @@ def main() -> None:
 
 
 def _complain(message: str, code: int) -> None:
+    message = printable_lines(message)
     print(f"rmrc: {message}" if "\n" not in message else message, file=sys.stderr)
     sys.exit(code)
+
+
+def _say(text: object) -> None:
+    """Print a text, which may hold names of the model or of files, on a line of its own."""
+    print(printable(str(text)))
+
+
+def _escape(text: str) -> str:
+    """Return text as rich shows it, neither as markup nor as what a terminal would obey."""
+    return escape_markup(printable(text))
 
 
 def _overrides(settings: list[str] | None) -> dict[str, Any]:
@@ -80,6 +96,7 @@ def solve(
 ) -> None:
     """Run a configuration: a progress bar, a summary, a run folder with a report."""
     import rmrc
+    from rmrc.record.folder import json_text
     from rmrc.record.run import RUN_FOLDER
 
     RUN_FOLDER.ensure_free(out or Path("runs/new"))
@@ -88,7 +105,7 @@ def solve(
         run = rmrc.solve(loaded, progress)
     folder = run.save(out) if out is not None else run.save_numbered("runs")
     if as_json:
-        print(json.dumps({"run": str(folder), **run.summary}, allow_nan=False))
+        print(json_text({"run": str(folder), **run.summary}))
     else:
         _print_summary(run.manifest, folder)
     kept = all(limit["max_violation"] == 0 for limit in run.summary["limits"].values())
@@ -117,13 +134,13 @@ def _progress(name: str) -> Iterator[Callable[[int, int], None] | None]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(name)
+        task = bar.add_task(_escape(name))
         yield lambda done, count: bar.update(task, completed=done, total=count)
 
 
 def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
     console, summary = Console(highlight=False), manifest["summary"]
-    table = Table(title=escape(manifest["name"]), title_justify="left", show_edge=False)
+    table = Table(title=_escape(manifest["name"]), title_justify="left", show_edge=False)
     for header in ("", "rms", "max", "final", "unit"):
         table.add_column(header, justify="left" if header in ("", "unit") else "right")
     for name, numbers in summary["tasks"].items():
@@ -132,10 +149,10 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
             _add_task(table, "  orientation", numbers["orientation"])
     console.print(table)
     for name, limit in summary["limits"].items():
+        if started := limit.get("started_outside"):
+            console.print(f"[yellow]started outside by {_passed(started)}[/]")
         if limit["max_violation"]:
-            joint = f" ({escape(limit['joint'])})" if limit.get("joint") else ""
-            excess = f"{limit['max_violation']:.3g} {limit['unit']}"
-            console.print(f"[red]{name} limit passed by {excess}{joint}[/]")
+            console.print(f"[red]{name} limit passed by {_passed(limit)}[/]")
     counts = ", ".join(f"{name} {count}" for name, count in summary["status"].items())
     time = summary["step_time_us"]
     verdict = "[green]converged[/]" if summary["converged"] else "[red]not converged[/]"
@@ -147,16 +164,22 @@ def _print_summary(manifest: dict[str, Any], folder: Path) -> None:
     if manifest.get("interrupted"):
         console.print("[yellow]interrupted: this is what was done so far[/]")
     for notice in manifest.get("notices", []):
-        console.print(f"[dim]note: {escape(notice)}[/]")
+        console.print(f"[dim]note: {_escape(notice)}[/]")
     console.print(
-        f"run folder: {escape(str(folder))} · look at {escape(str(folder / 'report.html'))}",
+        f"run folder: {_escape(str(folder))} · look at {_escape(str(folder / 'report.html'))}",
         soft_wrap=True,
     )
 
 
+def _passed(limit: dict[str, Any]) -> str:
+    """Return how far a limit is passed, and by which joint."""
+    joint = f" ({_escape(limit['joint'])})" if limit.get("joint") else ""
+    return f"{limit['max_violation']:.3g} {limit['unit']}{joint}"
+
+
 def _add_task(table: Table, name: str, numbers: dict[str, Any]) -> None:
     values = (f"{numbers[key]:.3g}" for key in ("rms", "max", "final"))
-    table.add_row(escape(name), *values, numbers["unit"])
+    table.add_row(_escape(name), *values, numbers["unit"])
 
 
 @app.command()
@@ -192,6 +215,7 @@ def compare(
     import rmrc
     from rmrc.config.load import parse_sweep, swept
     from rmrc.record.compare import COMPARISON_FOLDER
+    from rmrc.record.folder import json_text
 
     if out is not None:
         COMPARISON_FOLDER.ensure_free(out)
@@ -207,7 +231,7 @@ def compare(
     folder = comparison.save(out) if out else comparison.save_numbered("comparisons")
     if as_json:
         numbers = {"comparison": str(folder), **comparison.summary}
-        print(json.dumps(numbers, ensure_ascii=False, allow_nan=False))
+        print(json_text(numbers))
     else:
         _print_comparison(comparison.config.name, comparison.summary, folder)
     raise typer.Exit(0 if comparison.finished else NOT_CONVERGED)
@@ -219,20 +243,23 @@ def _print_comparison(name: str, summary: dict[str, Any], folder: Path) -> None:
 
     console = Console(highlight=False)
     head, rows = table(summary, whole=False)
-    shown = Table(title=escape(name), title_justify="left", box=None, padding=(0, 1, 0, 0))
+    shown = Table(title=_escape(name), title_justify="left", box=None, padding=(0, 1, 0, 0))
     for title, *cells in zip(head, *rows, strict=True):
-        words = [word for text in (title, *(cell.text for cell in cells)) for word in text.split()]
+        texts = (printable(text) for text in (title, *(cell.text for cell in cells)))
+        words = [word for text in texts for word in text.split()]
         # The last column, of the statuses, takes what is left of the width.
         width = max(map(len, words)) if title != head[-1] else None
-        shown.add_column(escape(title), overflow="fold", width=width)
+        shown.add_column(_escape(title), overflow="fold", width=width)
     for row in rows:
-        shown.add_row(*(f"[red]{escape(c.text)}[/]" if c.bad else escape(c.text) for c in row))
+        shown.add_row(*(f"[red]{_escape(c.text)}[/]" if c.bad else _escape(c.text) for c in row))
     console.print(shown)
     for left_out in summary["left_out"]:
-        console.print(f"[dim]{left_out['name']} is left out: {escape(left_out['reason'])}[/]")
+        console.print(
+            f"[dim]{_escape(left_out['name'])} is left out: {_escape(left_out['reason'])}[/]"
+        )
     if summary["interrupted"]:
         console.print("[yellow]interrupted: this is what was done so far[/]")
-    console.print(f"comparison: {escape(str(folder))} · look at {escape(str(folder / PAGE))}")
+    console.print(f"comparison: {_escape(str(folder))} · look at {_escape(str(folder / PAGE))}")
 
 
 @app.command()
@@ -252,9 +279,9 @@ def check(
             mistaken = True
             print(mistake, file=sys.stderr)
         else:
-            print(f"{path}: ok")
+            _say(f"{path}: ok")
             for line in lines:
-                print(f"  {line}")
+                _say(f"  {line}")
     raise typer.Exit(WRONG_INPUT if mistaken else 0)
 
 
@@ -341,7 +368,7 @@ def report(
 
     path = out or run / REPORT
     write_report(Run.load(run), path)
-    print(path)
+    _say(path)
 
 
 @app.command()
@@ -373,19 +400,20 @@ def bench(
     """Measure this machine: how long a step takes, with each engine that is here."""
     import rmrc
     from rmrc.control.bench import bench as measure
+    from rmrc.record.folder import json_text
 
     found = measure(rmrc.load(config) if config else None)
     if as_json:
-        print(json.dumps(found, ensure_ascii=False))
+        print(json_text(found))
         return
     name = config or "an arm"
-    print(f"{name}: {found['dofs']} dofs, {found['tasks']} tasks, {found['steps']} steps")
+    _say(f"{name}: {found['dofs']} dofs, {found['tasks']} tasks, {found['steps']} steps")
     for engine, times in found["engines"].items():
         print(f"{engine:>12} {times['median_us']:8.1f} µs a step (p99 {times['p99_us']:.1f})")
     if found["native"]:
         print("native engine: installed")
     for notice in found["notices"]:
-        print(f"note: {notice}")
+        _say(f"note: {notice}")
 
 
 @app.command()
@@ -398,4 +426,4 @@ def render(
     from rmrc.record.run import Run
 
     render_run(Run.load(run), out)
-    print(out)
+    _say(out)

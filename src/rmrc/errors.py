@@ -13,7 +13,10 @@ MOST_COMPARED = 200
 
 
 class RmrcError(Exception):
-    """Base of everything that rmrc raises on purpose."""
+    """Base of everything that rmrc raises on purpose; its message is safe to print."""
+
+    def __init__(self, message: str = ""):
+        super().__init__(printable_lines(message))
 
 
 class ConfigError(RmrcError):
@@ -29,6 +32,16 @@ class ModelError(RmrcError):
 
 class SolverError(RmrcError):
     """A QP backend cannot be set up as asked."""
+
+
+def printable(text: str) -> str:
+    """Return text with characters that a terminal or a browser would obey written out."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def printable_lines(text: str) -> str:
+    """Return the same of each line of a text."""
+    return "\n".join(map(printable, text.split("\n")))
 
 
 def suggestion(wrong: str, known: Iterable[str]) -> str:

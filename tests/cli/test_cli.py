@@ -12,6 +12,7 @@ import pytest
 from commands import rmrc
 
 from models import REPOSITORY
+from rmrc.__main__ import INTERRUPTED
 
 LINE = REPOSITORY / "configs" / "planar_line.yaml"
 
@@ -48,6 +49,20 @@ def test_report_and_show_and_schema_and_check(tmp_path: Path) -> None:
     assert checked.stdout.count(": ok") == 2
     assert "3 of 3 dofs move; tasks: hand (frame, level 0)" in checked.stdout
     assert "the damping is the default, λ = 0.01" in checked.stdout
+
+
+def test_a_run_that_starts_outside_and_comes_back_exits_0(tmp_path: Path) -> None:
+    scene = REPOSITORY / "scenes" / "planar_3r.xml"
+    (tmp_path / "out.yaml").write_text(
+        f"scene: {scene}\nstart: home\nduration: 0.5\n"
+        "tasks: [{name: posture, type: posture, B: 0.0}]\n"
+        "limits: {position: {joint1: [0.6, 2.0]}}\n"
+    )
+    done = rmrc("solve", "out.yaml", "--out", "run", cwd=tmp_path)
+    assert "started outside by" in done.stdout, done.stdout + done.stderr
+    assert "passed by" not in done.stdout
+    assert done.returncode == 0
+    assert "started outside by" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
 def broken(tmp_path: Path) -> dict[str, tuple[object, ...]]:
@@ -132,10 +147,6 @@ def test_an_existing_folder_is_never_overwritten(tmp_path: Path) -> None:
     assert (precious / "thesis.tex").read_text() == "all of it"
 
 
-CUT_OFF = 130
-"""Exit code of what is interrupted before the run has begun."""
-
-
 def interrupted(folder: Path, after: float) -> tuple[int, str, str]:
     """Run an hour, interrupt it after so many seconds; return its exit code and what it printed."""
     process = subprocess.Popen(
@@ -154,10 +165,46 @@ def interrupted(folder: Path, after: float) -> tuple[int, str, str]:
     return process.returncode, stdout, stderr
 
 
+@pytest.mark.parametrize(
+    "module",
+    ["rmrc.cli", "typer", "rich.table", "numpy", "mujoco", "pydantic", "rmrc.control.loop"],
+)
+def test_ctrl_c_during_the_imports_is_one_line(module: str, tmp_path: Path) -> None:
+    program = f"""
+import os, signal, sys
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupting())
+from rmrc.__main__ import main
+sys.argv = ["rmrc", "solve", {str(LINE)!r}]
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == INTERRUPTED, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_way_in_imports_nothing_that_takes_time() -> None:
+    program = (
+        "import sys; before = set(sys.modules); import rmrc.__main__;"
+        "print(*sorted(set(sys.modules) - before))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    roots = {name.partition(".")[0] for name in done.stdout.split()}
+    assert roots - sys.stdlib_module_names == {"rmrc"}
+    assert "importlib.metadata" not in done.stdout
+
+
 def test_ctrl_c_saves_what_was_done(tmp_path: Path) -> None:
     for after in (4.0, 10.0, 25.0):  # a busy machine takes its time to import
         code, stdout, stderr = interrupted(tmp_path, after)
-        if code != CUT_OFF:
+        if code != INTERRUPTED:
             break
     assert code == 1, stderr
     assert "Traceback" not in stderr

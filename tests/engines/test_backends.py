@@ -657,3 +657,18 @@ def test_the_answer_where_there_is_none_is_at_rest_and_not_certified() -> None:
     assert solution.kkt is UNCERTIFIED
     parts = (solution.v, solution.bound_multiplier, solution.row_multiplier)
     assert [part.tolist() for part in parts] == [[0.0] * 3, [0.0] * 3, [0.0] * 2]
+
+
+@pytest.mark.parametrize("length", [1.0, 1e-4, 6e-7, 1e-9])
+def test_daqp_keeps_a_row_of_any_length(length: float) -> None:
+    """It ignored rows shorter than 3e-6: the command was then shortened to nothing for them."""
+    qp = QP(3, 1)
+    qp.H[:], qp.g[:], qp.lb[:], qp.ub[:] = np.eye(3), [-1.0, -1.0, 0.0], -5.0, 5.0
+    qp.C[0], qp.lo[0], qp.hi[0] = [length, 0.0, 0.0], -np.inf, 0.5 * length
+    backend = create("daqp")
+    backend.setup(qp)
+    for _ in range(2):
+        solution = backend.solve()
+        assert solution.v == pytest.approx([0.5, 1.0, 0.0], abs=1e-9)
+        assert length * solution.row_multiplier[0] == pytest.approx(0.5, abs=1e-9)
+        backend.update(qp)

@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rmrc
+from braking import left_of
 from models import REPOSITORY, config
 from rmrc import Controller, Problem, Status
 from rmrc.control.check import check
@@ -157,8 +158,8 @@ def test_without_time_a_step_brakes_and_keeps_its_distances(engine: Any) -> None
             v = late._v.copy()
             step = late.step()
             assert step.status is Status.DEADLINE
-            slower = np.sign(v) * np.maximum(np.abs(v) - 3.0 * 0.01, 0.0)
-            np.testing.assert_allclose(step.v, slower, rtol=0.0, atol=ROUNDING)
+            left = left_of(v, np.full(v.size, 3.0 * 0.01))
+            np.testing.assert_allclose(step.v, left, rtol=0.0, atol=ROUNDING)
             after = least_distance(made, late.q, pairs)
             assert (after >= np.minimum(before, 0.02) - KEPT).all()
             before = after

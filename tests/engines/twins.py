@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 import rmrc
 from rmrc import Problem, Step
+from rmrc.control.engine import CERTIFIED
 from rmrc.control.engines import Engine
 from rmrc.control.step import ACTIVE_MULTIPLIER
-from rmrc.qp.program import Solution
+from rmrc.problem.limits.box import braked
+from rmrc.qp.program import Solution, SolveStatus
 
 Array = NDArray[np.float64]
 
@@ -100,6 +102,9 @@ def assert_equal(problem: Problem, steps: int, moving: bool = False) -> None:
             else:
                 assert_better(native, python)
             continue
+        given_up = python.solution.status is SolveStatus.MAX_ITER
+        if given_up and native.solution.status is SolveStatus.SOLVED:
+            continue  # with the same command, of which only one engine has the certificate
         assert native.flags == python.flags
         assert native.solution.status is python.solution.status
         assert_same_active(native.solution, python.solution, native.moment.engine)
@@ -132,7 +137,8 @@ def beyond_brake(step: Step) -> float:
     """
     engine = step.moment.engine
     rows, dofs, qp = engine.rows, engine.problem.dofs, engine.assembly.qp
-    brake = np.clip(0.0, qp.lb, qp.ub)
+    moment, box = step.moment, engine.problem.box
+    brake = braked(box, moment.v_previous[dofs], moment.dt, moment.q).clip(qp.lb, qp.ub)
     given = np.maximum(rows.lower - rows.matrix @ step.v[dofs], 0.0)
     allowed = np.maximum(rows.lower - rows.matrix @ brake, 0.0)
     return float((given - allowed).max(initial=0.0))
@@ -165,8 +171,11 @@ def merits(engine: Engine, v: Array) -> Array:
     """
     qp = engine.assembly.qp
     activity = qp.C @ v
-    missed = [qp.lo - activity, activity - qp.hi, np.abs(qp.E @ v - qp.f)]
-    found = [max(np.concatenate(missed).max(initial=0.0), 0.0)]
+    missed = np.concatenate([qp.lo - activity, activity - qp.hi, np.abs(qp.E @ v - qp.f)])
+    at_rest = np.concatenate([qp.lo, -qp.hi, np.abs(qp.f)])
+    # What rest misses by less than a certificate can tell is nobody's merit.
+    missed[(missed <= at_rest) & (at_rest <= CERTIFIED)] = 0.0
+    found = [max(missed.max(initial=0.0), 0.0)]
     if not engine.problem.cascaded:
         return np.array([*found, 0.5 * v @ qp.H @ v + qp.g @ v])
     levels = engine.assembly.levels()

@@ -306,3 +306,45 @@ def test_priorities_hold_where_a_level_is_nearly_lost(number, tilt) -> None:
     assert_close(v, expected, ROUNDING / tilt)
     for row in (0, 2, 3):
         assert_close(axes[row] @ v / abs(v).max(), axes[row] @ expected / abs(v).max(), ROUNDING)
+
+
+SCALES = (1e-150, 1e-100, 1e-83, 1e-20, 1e20, 1e70, 1e100, 1e150)
+# The primal form squares a condition of 10 and loses as many digits; the rest is rounding.
+SAME_DIGITS = 1e-10
+LU = [("dual", "lu"), ("primal", "lu"), ("dual", "cholesky"), ("primal", "qr"), ("dual", "svd")]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_the_scale_of_the_jacobian_is_no_singularity(scale: float) -> None:
+    rng = np.random.default_rng(0)
+    J, xdot = rng.normal(size=(3, 5)), rng.normal(size=3)
+    closed = {
+        "transpose": lambda s: reference.transpose(s * J, xdot),
+        "pinv": lambda s: reference.pinv(s * J, xdot),
+        "right": lambda s: reference.pinv(s * J, xdot, form="right"),
+        "inverse": lambda s: reference.inverse(s * J[:, :3], xdot),
+        "weighted": lambda s: reference.weighted(s * J, xdot, np.arange(1.0, 6.0)),
+        "saturated": lambda s: reference.saturated(s * J, xdot, -0.3 / s, 0.3 / s),
+        "bounded": lambda s: reference.bounded_dls(s * J, xdot, -0.3 / s, 0.3 / s, 0.1 * s),
+        **{
+            f"{form} {by}": lambda s, form=form, by=by: reference.dls(
+                s * J, xdot, 0.1 * s, form, by
+            )
+            for form, by in LU
+        },
+        "weighted_dls": lambda s: reference.weighted_dls(s * J, xdot, 0.0, 1.0, 0.1 * s),
+    }
+    for name, method in closed.items():
+        assert scale * method(scale) == pytest.approx(method(1.0), rel=SAME_DIGITS), name
+
+
+@pytest.mark.parametrize("condition", [1e2, 1e4, 1e6])
+def test_weighted_keeps_the_digits_that_the_jacobian_has(condition: float) -> None:
+    """The normal equations lost twice as many: 1.5e-4 at a condition of 1e6."""
+    rng = np.random.default_rng(1)
+    U, V = (np.linalg.qr(rng.normal(size=(n, n))).Q for n in (6, 7))
+    J = U @ np.diag(np.geomspace(1.0, 1.0 / condition, 6)) @ V[:6]
+    A = rng.uniform(0.1, 3.0, 7)
+    v = J.T @ rng.normal(size=6) / A  # A v is in the range of Jᵀ, so that no other has less
+    found = reference.weighted(J, J @ v, A)
+    assert np.abs(found - v).max() < 1e-14 * condition * np.abs(v).max()

@@ -214,3 +214,27 @@ def test_where_the_task_is_slowed_the_multiplier_says_what_a_limit_is_worth() ->
     assert v.tolist() == [1.0, 0.5]
     assert z == pytest.approx([0.5, 0.0], abs=EXACT)  # s = limit/2
     assert not reference.saturate(np.eye(2), [1.0, -1.0], -1.0, 1.0).multiplier.any()
+
+
+# ½‖v_N‖² weighs 1e-6 beside s, so that v changes by 1e6 of what a part of the null space does; a
+# part of less than 1e-9 is none.
+SLOPE, NONE = 2e6, 1e-9
+
+
+@pytest.mark.parametrize("bound", [0.5, 0.05])
+def test_a_part_of_the_null_space_that_gains_nothing_moves_nothing(bound: float) -> None:
+    """v jumped by 0.09 rad/s and more where a joint's part in the null space passed 1e-9."""
+
+    def at(part: float) -> reference.Saturation:
+        return reference.saturate([[1.0, part, 0.0], [0.0, 0.0, 1.0]], [1.0, 0.1], -bound, bound)
+
+    before = at(0.0)
+    assert before.scale == pytest.approx(bound)
+    assert abs(before.v[1]) < 1e-9
+    last = 0.0
+    for part in np.geomspace(1e-12, 1e-3, 400):
+        now = at(float(part))
+        assert np.abs(now.v - before.v).max() <= SLOPE * (part - last + NONE)
+        assert now.scale >= before.scale - NONE
+        before, last = now, part
+    assert before.v[1] == pytest.approx(bound)  # where it gains more, as much as there is

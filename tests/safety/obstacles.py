@@ -1,12 +1,10 @@
 """The robots of the matrix beside a ball and a wall, and how near geoms come to one another."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import pytest
 from matrix import ROBOTS, Robot
 from numpy.typing import NDArray
 
@@ -30,8 +28,6 @@ LOOK = 0.2
 def beside_a_ball(name: str, folder: Path) -> Robot:
     """Return a robot in a scene that has a mocap ball, too; the scene is written once a folder."""
     robot, path = ROBOTS[name], folder / f"{name}.xml"
-    if robot.scene.startswith("menagerie:") and not os.environ.get("MENAGERIE_ROOT"):
-        pytest.skip("needs the Menagerie's robots: set MENAGERIE_ROOT to a checkout")
     if not path.exists():
         scene = _scene_file(robot.scene)
         spec = mujoco.MjSpec.from_file(str(scene))

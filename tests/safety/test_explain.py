@@ -1,6 +1,7 @@
 """Why a step is what it is: the right limit, by its name, at its price, and without a trace."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from obstacles import BALL, beside_a_ball
 import rmrc
 from models import REPOSITORY
 from rmrc import Status, cli
+from rmrc.control.check import check
 from rmrc.control.explain import Binding
 
 Array = NDArray[np.float64]
@@ -188,10 +190,12 @@ def test_a_floating_base_is_held_by_the_limit_of_bases() -> None:
 def test_the_speed_of_a_frame_names_its_task() -> None:
     controller = panda({"speed": {"hand": {"linear": 0.1}}})
     step = controller.step()
-    assert {(b.limit, b.name) for b in step.explain().bindings} == {("speed", "hand")}
+    [binding] = step.explain().bindings  # one limit, however many planes stand for it
+    assert (binding.limit, binding.name, binding.side) == ("speed", "hand (linear)", "upper")
+    assert binding.bound == 0.1
     [hand] = [task for task in step.explain().tasks if task.name == "hand"]
     assert hand.asked[0] == pytest.approx(10.0 * np.linalg.norm(FORWARD), rel=1e-6)
-    assert hand.got[0] == pytest.approx(0.097, rel=1e-3)
+    assert hand.got[0] == pytest.approx(0.1, rel=1e-3)
     assert hand.error == tuple(step.error["hand"])
 
 
@@ -397,3 +401,23 @@ def test_a_run_whose_scene_is_gone_is_a_clear_message(
     replace(run, manifest=manifest).save(folder)
     assert why(monkeypatch, folder) == 2
     assert "gone.xml" in capsys.readouterr().err
+
+
+def test_what_the_curvature_adds_is_said(engine: Any) -> None:
+    """It is the diagonal of X beside λ², and none where it is off."""
+    for curvature in (True, False):
+        made = problem("panda", "daqp", *ROBOTS["panda"].tasks(), damping={"curvature": curvature})
+        controller = rmrc.Controller(made, engine)
+        assert controller.set_target("hand", made.term["hand"].target[4:] + 1.0)
+        account = controller.step().explain()
+        assert (account.curvature is not None) == curvature
+        if account.curvature is not None:
+            joint, added, square = account.curvature
+            assert joint.startswith("joint")
+            assert added > square == pytest.approx(1e-4)
+            assert f"up to {added:.3g} more, at {joint}" in str(account)
+
+
+def test_check_says_what_the_curvature_adds() -> None:
+    said = "\n".join(check(rmrc.load(REPOSITORY / "configs" / "panda_line.yaml")))
+    assert re.search(r"0\.1 m or rad off adds to λ² = 0\.0001: up to .* at joint\d for hand", said)

@@ -11,6 +11,7 @@ from mink.limits import Constraint
 from mink.tasks import BaseTask, Objective
 
 import rmrc
+from braking import left_of
 from models import config
 from rmrc.control.step import Status
 
@@ -107,13 +108,15 @@ def brakes_and_recovers(made: rmrc.Controller, foreign: Task | Limit, answer: An
     for _ in range(20):
         step = step_inside(made, before)
         assert step.status is Status.INVALID_INPUT
-        assert (np.abs(step.v) <= np.maximum(np.abs(before) - A_MAX * DT, 0.0) + ROUNDING).all()
+        assert step.reasons[0].startswith(f"{type(foreign).__name__}: ")
+        left = left_of(before, np.full(before.size, A_MAX * DT))
+        np.testing.assert_allclose(step.v, left, rtol=0.0, atol=ROUNDING)
         before = step.v
     assert not before.any()
-    refused = made.engine.evaluation.refused
-    assert type(foreign).__name__ in refused[0]
     foreign.answer = None
-    assert step_inside(made, before).status is not Status.INVALID_INPUT
+    step = step_inside(made, before)
+    assert step.status is not Status.INVALID_INPUT
+    assert not step.reasons
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -136,6 +139,27 @@ def test_a_residual_that_is_none(repository: Path, engine: str, answer: Any) -> 
 def test_a_limit_that_is_none(repository: Path, engine: str, answer: Any) -> None:
     limit = Limit()
     brakes_and_recovers(controller(repository, engine, mink_limits=[limit]), limit, answer)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_answer_that_is_none_is_named_with_what_it_lacks(repository: Path, engine: str) -> None:
+    task = Task()
+    made = controller(repository, engine, mink_tasks=[task])
+    task.answer = OBJECTIVES["None"]
+    assert made.step().reasons == ("Task: its objective is None, and has no H",)
+
+
+@pytest.mark.parametrize("method", ["dls", "mink"])
+def test_other_methods_brake_as_well(repository: Path, method: str) -> None:
+    scene, task = str(repository / "scenes" / "panda.xml"), Task()
+    given = config(scene, [HAND], start="home", dt=DT, method=method)
+    made = rmrc.Controller(rmrc.compile(given, mink_tasks=[task]))
+    made.set_target("hand", **TARGET)
+    assert made.step().v.any()
+    task.answer = raises
+    step = made.step()
+    assert step.reasons == ("Task: out of order",)
+    assert not step.v.any()
 
 
 def test_a_limit_that_is_infinite_limits_nothing(repository: Path) -> None:

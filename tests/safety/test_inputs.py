@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from obstacles import AWAY, BALL, beside_a_ball
 
 import rmrc
+from braking import left_of
 from rmrc import Status
 
 Array = NDArray[np.float64]
@@ -259,8 +260,7 @@ def test_wrong_input_brakes_at_the_acceleration_limit(slow: rmrc.Problem) -> Non
         before, q = step.v, controller.q
         step = controller.step(next(bad))
         assert step.flags == {Status.INVALID_INPUT}
-        braked = before - np.clip(before, -change, change)
-        np.testing.assert_allclose(step.v, braked, rtol=0.0, atol=ROUNDING)
+        np.testing.assert_allclose(step.v, left_of(before, change), rtol=0.0, atol=ROUNDING)
         moved = np.empty(slow.model.nv)
         mujoco.mj_differentiatePos(slow.model, moved, DT, q, step.q)
         np.testing.assert_allclose(moved, step.v, rtol=0.0, atol=1e-6)
@@ -362,3 +362,52 @@ def test_what_is_given_is_not_written_to_or_kept(free: rmrc.Problem) -> None:
     second = controller.step()
     assert second.status < Status.MAX_ITER
     assert np.isfinite(second.q).all()
+
+
+class Raises:
+    """A length of a step of another library's, which gives no number."""
+
+    def __float__(self) -> float:
+        raise RuntimeError("on another device")
+
+
+WRONG_STEPS = {
+    "q[1] is nan": {"q": [0.0, np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]},
+    "q has the shape (2,), and not (7,)": {"q": [0.0, 0.0]},
+    "q is no array of numbers, but a str": {"q": "straight"},
+    "q[0] is 1e+13, and no number is beyond 1e+12": {"q": [1e13] * 7},
+    "dt is -0.002, and no time of 1e-09 to 1000 s": {"dt": -0.002},
+    "dt is a Raises, and no time of 1e-09 to 1000 s": {"dt": Raises()},
+}
+WRONG_TARGETS = {
+    "position[2] is inf": {"position": [0.0, 0.0, np.inf]},
+    "quaternion is zero, and has no direction": {"quaternion": [0.0] * 4},
+    "velocity has the shape (3,), and not (6,)": {"velocity": [0.0] * 3},
+    "it takes no q": {"q": [0.0] * 7},
+}
+
+
+@pytest.fixture
+def made(engine: str) -> rmrc.Controller:
+    hand = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}
+    scene = str(Path(__file__).parents[2] / "scenes" / "panda.xml")
+    given = {"scene": scene, "tasks": [hand], "start": "home"}
+    return rmrc.Controller(rmrc.compile(rmrc.Config.model_validate(given)), engine)  # type: ignore
+
+
+@pytest.mark.parametrize("what", WRONG_STEPS)
+def test_a_step_says_which_argument_is_wrong(made: rmrc.Controller, what: str) -> None:
+    step = made.step(**WRONG_STEPS[what])
+    assert step.status is Status.INVALID_INPUT
+    assert step.reasons == (f"{what}; the robot brakes",)
+    assert what in str(step.explain())
+    assert made.step().reasons == ()
+
+
+@pytest.mark.parametrize("what", WRONG_TARGETS)
+def test_a_step_says_which_part_of_a_target_was_wrong(made: rmrc.Controller, what: str) -> None:
+    assert not made.set_target("hand", **WRONG_TARGETS[what])
+    step = made.step()
+    assert step.status is Status.INVALID_INPUT
+    assert step.reasons == (f"target of hand: {what}; the last good one stays",)
+    assert made.step().reasons == ()

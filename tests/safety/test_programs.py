@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 import rmrc
+from braking import left_of
 from rmrc import Status
 from rmrc.problem.limits.collision import CollisionPairs
 
@@ -239,7 +240,7 @@ def test_a_deadline_is_kept_by_braking(robot: str, backend: str, kind: str) -> N
         assert step.status is Status.DEADLINE
         assert checked.controller.failures == count
         lb, ub = engine.assembly.qp.lb, engine.assembly.qp.ub
-        brake = np.clip(0.0, lb, ub)
+        brake = left_of(before[made.dofs], made.box.acceleration * DT).clip(lb, ub)
         np.testing.assert_allclose(step.v[made.dofs], brake, rtol=0.0, atol=ROUNDING)
         assert np.abs(step.v).max() <= np.abs(before).max() + ROUNDING
     assert median(took) <= LATE * median(prepared) + ENDING

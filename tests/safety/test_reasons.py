@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rmrc
-from models import config
+from models import REPOSITORY, config
 from rmrc import Status
 from rmrc.control.why import why
 
@@ -131,3 +131,23 @@ def test_a_step_within_the_tolerance_is_not_stuck(tmp_path: Path, engine: Any) -
     at = controller.problem.forward(step.q)["tip"][:3, 3]
     assert controller.set_target("tip", at)
     assert Status.STUCK not in controller.step().flags
+
+
+def test_an_orientation_that_nobody_asked_for_is_the_reason(engine: Any) -> None:
+    """The panda reaches the point at another orientation than the one of its start."""
+    scene = str(REPOSITORY / "scenes" / "panda.xml")
+    hand = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}
+    target, said = [0.75, 0.0, 0.75], {}
+    for name, task in (("pose", hand), ("point", {**hand, "B": [1, 1, 1, 0, 0, 0]})):
+        controller = rmrc.Controller(rmrc.compile(config(scene, [task], dt=0.01)), engine)
+        assert controller.set_target("hand", target)
+        for _ in range(800):
+            step = controller.step()
+        said[name] = step
+    assert Status.STUCK in said["pose"].flags
+    missed = float(said["pose"].error["hand"][0])
+    assert float(said["point"].error["hand"][0]) < 1e-3
+    (reason,) = said["pose"].reasons
+    words, _, unit = reason.removeprefix("its orientation holds hand back by ").partition(" ")
+    assert unit == "m"
+    assert float(words) == pytest.approx(missed, rel=0.05)

@@ -20,6 +20,7 @@ from matrix import (
 from numpy.typing import NDArray
 
 import rmrc
+from braking import left_of
 from rmrc import Status
 
 Array = NDArray[np.float64]
@@ -163,8 +164,7 @@ def test_what_is_older_than_its_timeout_brakes_until_it_is_fresh(
     while step.v.any():
         before = step.v[timed.dofs]
         step = checked.step(age=np.inf) if late is _late_target else checked.step()
-        change = timed.box.acceleration * DT
-        expected = before - np.clip(before, -change, change)
+        expected = left_of(before, timed.box.acceleration * DT)
         np.testing.assert_allclose(step.v[timed.dofs], expected, rtol=0.0, atol=ROUNDING)
         assert step.flags == {Status.STALE}
         braked += 1

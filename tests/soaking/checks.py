@@ -12,6 +12,7 @@ from rmrc.problem.problem import Problem
 from rmrc.qp.program import QP, Solution, SolveStatus
 from soaking.contract import Contract
 from soaking.drawer import Array
+from soaking.shaking import Shaking
 
 Pairs = NDArray[np.intp]
 
@@ -49,8 +50,11 @@ TOLERANCE = {
     "certificate": MEASURED,
     "residual": MEASURED,
     "reported": 0.0,
+    "shaking": 0.0,
 }
 """What is checked of a step, and the largest violation that passes."""
+HURRIED = 1 << Status.MAX_ITER | 1 << Status.DEADLINE
+"""Steps without an optimum: what they command depends on how far they came."""
 
 
 @dataclass
@@ -70,6 +74,8 @@ class Moment:
     """Whether what came in leaves nothing but to brake."""
     invalid: bool
     """Whether something that came in is not valid."""
+    rest: bool = False
+    """Whether targets and obstacles rest, were so at the step before, and dt is the usual one."""
     overtime: float = 0.0
     """Time in s that the step took beyond what it may."""
 
@@ -92,6 +98,7 @@ class Checker:
         self._data = mujoco.MjData(problem.model)
         self._calm = np.zeros(problem.dofs.size, dtype=bool)
         """The joints that have stood still inside their range since the last disturbance."""
+        self._shaking = Shaking(problem.dofs.size)
         model, config = problem.model, problem.config
         self._pairs, self._d_min = contract.pairs, contract.d_min
         radius = model.geom_rbound[self._pairs]
@@ -114,6 +121,7 @@ class Checker:
     def disturb(self) -> None:
         """Note that the joints are not where, or as fast as, the last command says."""
         self._calm[:] = False
+        self._shaking.forget()
 
     def check(self, moment: Moment, step: Step, controller: rmrc.Controller) -> dict[str, float]:
         """Return by how much a step passes each limit; 0 or less where it does not."""
@@ -125,6 +133,9 @@ class Checker:
         flags = step.flag_bits
         reported = flags >> Status.INVALID_INPUT & 1 or flags >> Status.STALE & 1
         found["reported"] = float(bool(reported) != (moment.invalid or moment.braking))
+        if moment.braking or not moment.rest or flags & HURRIED:
+            self._shaking.forget()
+        found["shaking"] = self._shaking.update(step.v[self._problem.dofs], moment.dt)
         if moment.braking:
             self._calm[:] = False
             found["brake"] = self._brake(moment, step.v)
@@ -202,18 +213,16 @@ class Checker:
     def _brake(self, moment: Moment, v: Array) -> float:
         """Return how far a command is from what braking at the acceleration limit leaves.
 
-        The rates of a ball joint may keep their proportions: then the one that takes longest brakes
-        at its limit, and the others less, but none gains speed.
+        The robot may stay on its line: the joint that takes longest brakes at its limit, and the
+        others less, but none gains speed.
         """
-        dofs, model = self._problem.dofs, self._model
+        dofs = self._problem.dofs
         before, v, limit = moment.v[dofs], v[dofs], self._problem.box.acceleration * moment.dt
         expected = np.sign(before) * np.maximum(np.abs(before) - limit, 0.0)
         excess = np.abs(v - expected)
-        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL)):
-            three = np.flatnonzero(model.dof_jntid[dofs] == joint)
-            if not three.size:
-                continue
-            others = np.delete(three, np.argmax(np.abs(before[three]) / limit[three]))
+        limited = np.flatnonzero(np.isfinite(limit))
+        if limited.size:
+            others = np.delete(limited, np.argmax(np.abs(before[limited]) / limit[limited]))
             low, high = np.sort([expected[others], before[others]], axis=0)
             excess[others] = np.maximum(low - v[others], v[others] - high)
         return float(excess.max())

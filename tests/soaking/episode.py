@@ -210,15 +210,18 @@ class Episode:
 
     def _step(self, figures: Figures) -> tuple[Moment, Step]:
         """Let something happen, and take a step."""
+        rests = True
         if self._often(0.004):
             self._change_limits()
         if self._movers and self._often(0.01 * self._brisk):
             self._move_obstacle()
+            rests = False
         refused = False
         renewed = (self._is_late() and self.drawer.chance(0.3)) or self._number == 0
         for term in self._problem.terms:
             if term.target.size and (renewed or self._often(0.03 * self._brisk)):
                 refused |= not self._set_target(term)
+                rests = False
         if self._often(0.01):
             refused |= self._refused_target()
         arguments, moment = self._inputs()
@@ -234,6 +237,9 @@ class Episode:
             )
             for term in problem.terms
         }
+        moved = 1 in evaluation.moving or bool(self._twist.any())
+        # A rate of e/dt goes up and down with a dt that does.
+        moment.rest = rests and not moved and moment.dt == problem.dt
         box = problem.box if self._changed else None
         self._taken = Taken(self.drawn.config, box, targets, moment, arguments, frozenset())
         bounded = problem.deadline < INF and self.engine == "native"
@@ -244,6 +250,10 @@ class Episode:
         if bounded:
             moment.overtime = seconds - problem.deadline - OVERTIME
         figures.time(self.engine, seconds, problem.deadline, self._again(self._number))
+        if problem.config.previous == "measured" and not moment.braking:
+            # Of a joint that slows down it counts from the last command, and never from beyond.
+            ends = np.sort([moment.v, self._v, np.zeros_like(self._v)], axis=0)
+            moment.v = np.clip(step.moment.v_previous, ends[0], ends[2])
         return moment, step
 
     def _inputs(self) -> tuple[dict[str, Any], Moment]:

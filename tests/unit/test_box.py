@@ -41,7 +41,6 @@ def limits(
             acceleration=acceleration * every,
             jerk=jerk * every,
             step=step * every,
-            balls=np.zeros(0, dtype=np.intp),
         )
     )
 
@@ -118,7 +117,6 @@ def test_limits_of_some_joints_leave_the_others_as_they_are() -> None:
             acceleration=np.array([np.inf, 5.0, np.inf]),
             jerk=np.array([np.inf, np.inf, 500.0]),
             step=np.full(3, np.inf),
-            balls=np.zeros(0, dtype=np.intp),
         )
     )
     box.update(np.zeros(3), np.zeros(3), np.zeros(3), 0.1)

@@ -114,6 +114,7 @@ def test_braking_keeps_the_acceleration_limit() -> None:
 def test_the_measured_velocity_is_that_between_the_last_two_measurements() -> None:
     # One that is given with the second of them does not let the first one count for longer.
     controller = panda(limits={"acceleration": {"default": 10.0}}, previous="measured")
+    # A joint that the last command slows down goes on from there.
     change = 10.0 * controller.problem.dt
     first, rate = controller.problem.start, np.linspace(-0.3, 0.3, 7)
     second, third = (first + k * controller.problem.dt * rate for k in (1, 2))
@@ -122,7 +123,8 @@ def test_the_measured_velocity_is_that_between_the_last_two_measurements() -> No
         controller.step(first)
         step = controller.step(second, v=given)
         assert np.abs(step.v - (rate if given is None else given)).max() <= change + ROUNDING
-        assert np.abs(controller.step(third).v - rate).max() <= change + ROUNDING
+        slowed = np.where(np.abs(step.v) < np.abs(rate), step.v, rate)
+        assert np.abs(controller.step(third).v - slowed).max() <= change + ROUNDING
 
 
 BAD_TARGETS = [

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import rmrc
-from models import REPOSITORY
+from models import REPOSITORY, config
+from rmrc.control.check import check
 
 LINE = REPOSITORY / "configs" / "panda_line.yaml"
 
@@ -49,3 +50,37 @@ def test_a_path_without_a_profile_cannot_be_followed_by_joints() -> None:
     reach = REPOSITORY / "configs" / "panda_reach.yaml"
     with pytest.raises(rmrc.ConfigError, match="joint needs a target on a path with a duration"):
         rmrc.solve(rmrc.load(reach, overrides={"follow": "joint"}))
+
+
+TWO = {
+    "profile": {"profile": "trapezoid"},
+    "delay": {"delay": 0.5},
+    "duration": {"duration": 2.0},
+}
+
+
+def two_hands(**second: object) -> rmrc.Config:
+    line = {"path": "line", "to": {"position": [0.5, 0.2, 1.1]}, "duration": 1.0}
+    other = {"path": "line", "to": {"position": [0.5, -0.2, 1.1]}, "duration": 1.0, **second}
+    tasks = [
+        {"name": hand, "type": "frame", "frame": {"site": f"{hand}_hand"}}
+        for hand in ("left", "right")
+    ]
+    scene = str(REPOSITORY / "scenes" / "dual_arm.xml")
+    targets = {"left": line, "right": other}
+    return config(
+        scene, tasks, start="home", dt=0.01, duration=1.5, follow="joint", targets=targets
+    )
+
+
+@pytest.mark.parametrize("differs", TWO)
+def test_joints_say_that_two_targets_cannot_keep_times_of_their_own(differs: str) -> None:
+    given = two_hands(**TWO[differs])
+    for use in (rmrc.solve, check):
+        with pytest.raises(rmrc.ConfigError, match=r"'left' takes .* where 'right' takes"):
+            use(given)
+
+
+def test_joints_follow_two_targets_with_the_same_time() -> None:
+    run = rmrc.solve(two_hands())
+    assert all(task["final"] < 1e-3 for task in run.summary["tasks"].values())

@@ -21,9 +21,10 @@ CONFIGURATIONS = 5
 
 def tasks(site: str, root: dict[str, str]) -> list[dict[str, Any]]:
     frame = {"site": site}
+    second = {"site": "middle"} if root == {"site": "root"} else root  # a frame that moves
     return [
         {"name": "frame", "type": "frame", "frame": frame, "clamp": FAR},
-        {"name": "second", "type": "frame", "frame": root, "clamp": FAR},
+        {"name": "second", "type": "frame", "frame": second, "clamp": FAR},
         {"name": "world", "type": "frame", "frame": frame, "axes": "world", "clamp": FAR},
         {"name": "relative", "type": "relative_frame", "frame": frame, "root": root},
         {"name": "com", "type": "com"},

@@ -34,7 +34,7 @@ def straight_arm(method: str, limit: float, **others: Any) -> rmrc.Config:
         ("saturated", 0.4, set()),  # v = [0.3, 0.2, 0.1]
         ("saturated", 0.25, {"LIMITED"}),  # v = [0.25, 0.25, 0.15] is as fast
         ("saturated", 0.2, {"LIMITED", "SCALED"}),  # 6 · 0.2 m/s is the most
-        ("pinv", 0.2, set()),  # keeps no limits
+        ("pinv", 0.2, {"LIMITED"}),  # keeps no limits, and passes one
     ],
 )
 def test_saturated_says_what_the_limits_did(method: str, limit: float, flags: set[str]) -> None:
@@ -44,6 +44,8 @@ def test_saturated_says_what_the_limits_did(method: str, limit: float, flags: se
         controller.set_target("hand", [3.0, 0.0, 0.0], velocity=[0, 1.4, 0, 0, 0, 0])
         step = controller.step([0.0, 0.0, 0.0])
         assert {flag.name for flag in step.flags} == (flags or {"OK"})
+        joints = ["joint1"] if method == "pinv" else []
+        assert [reason.split()[5] for reason in step.reasons] == joints
         controller.set_target("hand", [3.0, 0.0, 0.0], velocity=[0, 0.14, 0, 0, 0, 0])
         assert controller.step([0.0, 0.0, 0.0]).status is rmrc.Status.OK
 

@@ -2,18 +2,23 @@
 
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rmrc.cli import main
 from rmrc.errors import RmrcError
 from rmrc.record import folder as folder_module
+from rmrc.record import run as record_run
 from rmrc.record.channels import positions, rates
+from rmrc.record.form import check_manifest
+from rmrc.record.report import write_report
 from rmrc.record.run import FORMAT, MANIFEST, REPORT, TRAJECTORY, Run
 from rmrc.record.summary import summarize
 
@@ -31,6 +36,8 @@ STATUSES = [
     "INVALID_INPUT",
 ]
 TOLERANCE = {"m": 1e-3, "rad": 1e-2}
+SAVERS = 6
+"""That save one folder at once."""
 
 
 def hinge(name: str, address: int, dof: int, half_range: float | None = 2.8) -> dict[str, Any]:
@@ -288,27 +295,97 @@ def test_a_crash_leaves_the_folder_absent_or_as_it_was(
         assert len(Run.load(tmp_path / "run").time) == 5
 
 
+@pytest.mark.parametrize("failing_call", [2, 3])  # the first finds the old run in its way
 def test_a_crash_between_the_two_renamings_puts_the_old_run_back(
-    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, failing_call: int
 ) -> None:
     before, rename, calls = contents(folder), Path.rename, []
 
-    def fail_second(path: Path, target: Path) -> Path:
+    def fail_once(path: Path, target: Path) -> Path:
         calls.append(path)
-        if len(calls) == 2:
+        if len(calls) == failing_call:
             raise OSError("disk")
         return rename(path, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "rename", fail_second)
+        patch.setattr(Path, "rename", fail_once)
         with pytest.raises(RmrcError, match="disk"):
             run.save(folder, overwrite=True, report=False)
     assert contents(folder) == before
     assert list(folder.parent.iterdir()) == [folder]
 
 
+@pytest.mark.parametrize("there_is", ["nothing", "an empty folder"])
+def test_of_several_that_save_a_folder_at_once_one_wins(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there_is: str
+) -> None:
+    if there_is != "nothing":
+        (tmp_path / "same").mkdir()
+    several = Barrier(SAVERS)
+    write_arrays = record_run._write_arrays
+
+    def wait_for_all(path: Path, arrays: dict[str, Any]) -> None:
+        several.wait()  # by now each of them has found the folder free
+        write_arrays(path, arrays)
+
+    monkeypatch.setattr(record_run, "_write_arrays", wait_for_all)
+
+    def save(seed: int) -> str:
+        manifest = run.manifest | {"seed": seed}
+        try:
+            replace(run, manifest=manifest).save(tmp_path / "same", report=False)
+        except RmrcError as mistake:
+            return str(mistake)
+        return f"saved {seed}"
+
+    with ThreadPoolExecutor(SAVERS) as pool:
+        said = list(pool.map(save, range(SAVERS)))
+    (saved,) = [text for text in said if text.startswith("saved")]
+    assert f"saved {Run.load(tmp_path / 'same').manifest['seed']}" == saved
+    assert sum("already holds a run" in text for text in said) == SAVERS - 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "same"]
+
+
 def test_a_run_is_shown_in_one_line(run: Run) -> None:
     assert repr(run) == "<Run 'reach' of 200 steps>"
+
+
+# Starts outside
+
+
+def outside(start: float, *values: float) -> dict[str, Any]:
+    """Return what the summary says of the position limits of a rail that ends at 1 m."""
+    rail = np.array([start, *values])
+    rows = {
+        "q": np.stack([rail, 0.0 * rail], axis=1),
+        "v": np.zeros((rail.size, 2)),
+        "status": np.zeros(rail.size, dtype=np.uint8),
+        "error": {"hand": np.zeros((rail.size, 2))},
+        "step_time": np.ones(rail.size),
+    }
+    return summary_of(**rows)["limits"]["position"]
+
+
+def test_a_joint_that_starts_outside_and_comes_back_passes_no_limit() -> None:
+    found = outside(1.2, 1.15, 1.2, 0.9, 0.8)
+    assert found["max_violation"] == 0.0
+    assert found["started_outside"]["max_violation"] == pytest.approx(0.2)
+    assert found["started_outside"]["joint"] == "rail"
+    assert outside(0.9, 0.95)["started_outside"] is None
+
+
+@pytest.mark.parametrize(
+    ("way", "by"),
+    [
+        ((1.2, 1.3, 0.9), 0.3),  # further out than it started
+        ((1.2, 0.9, 1.1, 0.9), 0.1),  # out again
+        ((1.2, 1.15, 1.1), 0.1),  # not back at the end
+    ],
+)
+def test_what_happens_after_a_start_outside_counts(way: tuple[float, ...], by: float) -> None:
+    found = outside(*way)
+    assert found["max_violation"] == pytest.approx(by)
+    assert found["started_outside"]["max_violation"] == pytest.approx(0.2)
 
 
 # Numbered folders
@@ -392,7 +469,7 @@ def truncated(folder: Path) -> None:
         (written(MANIFEST, b"\xff\xfe"), r"run.json' is damaged"),
         (written(MANIFEST, b"[1]"), "is not a run's manifest"),
         (edited(lambda m: m.update(format=2)), "has format 2, and this version reads format 1"),
-        (edited(lambda m: m.pop("tasks")), "the manifest has no 'tasks'"),
+        (edited(lambda m: m.pop("tasks")), "damaged: tasks: the key 'tasks' is missing"),
         (edited(lambda m: m.update(model=[])), r"run.json' is damaged"),
         (
             edited(lambda m: m.update(statuses=["OK"])),
@@ -408,6 +485,16 @@ def truncated(folder: Path) -> None:
             r"'q' has the shape \(199, 7\), and \(200, 7",
         ),
         (rearranged(lambda a: a.update(time=a["time"][1:])), r"'q' has the shape"),
+        (rearranged(lambda a: a.update(time=a["time"] % 0.1)), "'time' does not rise after row 49"),
+        (
+            edited(lambda m: m["model"]["joints"][2].update(qpos="1")),
+            r"run.json' is damaged: model.joints\[2\].qpos: .* not the text '1'",
+        ),
+        (
+            edited(lambda m: m["model"]["joints"][2].update(qpos=7)),
+            r"model.joints\[2\].qpos: 7 leaves no place for a hinge joint among 7",
+        ),
+        (edited(lambda m: m["summary"].update(steps=3)), "200 rows, and summary.steps is 3"),
         (rearranged(lambda a: a.update(v=a["q"][:, :3])), r"'v' has the shape \(200, 3\)"),
         (rearranged(lambda a: a.update(kkt=np.array(["x"] * 200))), "'kkt' holds <U1, not numbers"),
         (rearranged(lambda a: a.update(kkt=np.array([{}] * 200))), "trajectory.npz' is damaged"),
@@ -419,6 +506,61 @@ def test_loading_says_what_is_wrong(
     damage(folder)
     with pytest.raises(RmrcError, match=message):
         Run.load(folder)
+
+
+def places(value: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Yield the place of each value below a value."""
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, item in items:
+        yield (*place, key)
+        if isinstance(item, (dict, list)):
+            yield from places(item, (*place, key))
+
+
+def changed(manifest: dict[str, Any], place: tuple[str | int, ...], value: Any) -> dict[str, Any]:
+    """Return a manifest with another value at a place, or none for `...`."""
+    new = json.loads(json.dumps(manifest))
+    *way, last = place
+    above: Any = new
+    for key in way:
+        above = above[key]
+    if value is ...:
+        del above[last]
+    else:
+        above[last] = value
+    return new
+
+
+@pytest.mark.parametrize("wrong", [..., None, "x", [1], {"a": []}, -5, 1.5, True], ids=repr)
+def test_a_manifest_with_a_wrong_value_anywhere_is_refused_or_still_makes_a_report(
+    wrong: Any, tmp_path: Path
+) -> None:
+    run = fabricated({"nq": 1, "nv": 1, "joints": [hinge("joint1", 0, 0)]}, steps=20)
+    said = []
+    for place in places(run.manifest):
+        manifest = changed(run.manifest, place, wrong)
+        try:
+            check_manifest(manifest)
+            another = replace(run, manifest=manifest)
+        except RmrcError as mistake:
+            said.append((str(mistake), {str(key) for key in place}))
+        else:
+            write_report(another, tmp_path / "report.html")
+    assert len(said) > 20
+    assert all(any(key in mistake for key in keys) for mistake, keys in said)
+
+
+@pytest.mark.parametrize("name", ["time", "q", "v", "step_time"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_in_a_trajectory_is_named(
+    folder: Path, name: str, value: float, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    rearranged(lambda a: a[name].__setitem__((3, ...), value))(folder)
+    monkeypatch.setattr("sys.argv", ["rmrc", "report", str(folder)])
+    with pytest.raises(SystemExit) as exit:
+        main()
+    assert exit.value.code == 2
+    assert f"array '{name}' is not finite in row 3" in capsys.readouterr().err
 
 
 def test_loading_what_is_no_folder_says_so(tmp_path: Path) -> None:
@@ -491,7 +633,7 @@ def test_the_summary_is_what_the_arrays_say() -> None:
     summary = summary_of()
     assert summary["steps"] == 4
     assert (summary["engine"], summary["backend"], summary["method"]) == ("python", "daqp", "qp")
-    assert summary["converged"] is True
+    assert summary["converged"] is False  # it has only just arrived
     assert summary["status"] == {"OK": 2, "LIMITED": 2}
     hand = summary["tasks"]["hand"]
     assert hand["rms"] == pytest.approx(np.sqrt((9 + 16 + 0 + 25e-8) / 4))
@@ -509,6 +651,7 @@ def test_violations_are_the_largest_excess_with_its_joint() -> None:
         "max_violation": pytest.approx(0.02),
         "joint": "rail",
         "unit": "m",
+        "started_outside": None,
     }
     assert limits["velocity"] == {
         "max_violation": pytest.approx(0.1),
@@ -544,8 +687,18 @@ def test_rounding_is_no_violation() -> None:
 def test_converged_compares_the_end_of_the_run(
     final: list[float], converging: dict[str, tuple[int, ...]], converged: bool
 ) -> None:
-    error = {"hand": np.array([[0.0, 0.0], [9.0, 9.0], [0.0, 0.0], final])}
+    error = {"hand": np.vstack([np.full((2, 2), 9.0), np.zeros((9, 2)), final])}
     assert summary_of(error=error, converging=converging)["converged"] is converged
+
+
+@pytest.mark.parametrize(("dt", "window"), [(0.01, 10), (0.001, 100), (0.1, 10)])
+def test_a_run_has_converged_that_stays_within_tolerance(dt: float, window: int) -> None:
+    """For the last 0.1 s and 10 steps: one that swings through its target has not."""
+    error = np.zeros((200, 2))
+    error[-window - 1] = 9.0
+    assert summary_of(dt=dt, error={"hand": error})["converged"]
+    error[-window] = 9.0
+    assert not summary_of(dt=dt, error={"hand": error})["converged"]
 
 
 def test_a_run_without_steps_has_a_summary() -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from rmrc.config.document import NOWHERE, Location, Place
-from rmrc.errors import ConfigError
+from rmrc.errors import ConfigError, printable
 
 MOST_MISTAKES = 20
 """A message lists no more than these; nobody reads on."""
@@ -108,11 +108,6 @@ def dotted(location: Location) -> str:
     for step in location:
         text += f"[{step}]" if isinstance(step, int) else f".{printable(step)}"
     return text.removeprefix(".")
-
-
-def printable(text: str) -> str:
-    """Return text with characters that a terminal would obey written out."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def shown(value: Any) -> str:

@@ -27,7 +27,7 @@ from rmrc.config.base import (
     Weight,
 )
 from rmrc.config.document import NOWHERE, Document, Location, Place
-from rmrc.config.limits import LimitsModel
+from rmrc.config.limits import LimitsModel, Off, PerJoint
 from rmrc.config.mistakes import Disagreement
 from rmrc.config.names import disagreements
 from rmrc.config.scene import SceneValue
@@ -94,7 +94,7 @@ class DampingModel(Model):
 
 
 class ToleranceModel(Model):
-    """What `converged` means, at the end of the run."""
+    """What `converged` means: within it for the last 0.1 s of the run, and the last 10 steps."""
 
     position: Positive = 1e-3
     """m."""
@@ -198,7 +198,10 @@ class Config(Model):
     """When targets and measurements are stale."""
     previous: Literal["commanded", "measured"] = "commanded"
     """The velocity that acceleration, jerk and `smooth` count from: the last command, or what was
-    measured."""
+    measured, unless the last command is nearer to rest: what is slowed down already goes on."""
+    lag: PerJoint | Off = "off"
+    """Time constant in s of each joint's drive, of first order, the delay of the measurement
+    included: steps are taken from where the joints would come to rest, q ⊕ lag·v."""
     tasks: Annotated[tuple[Task, ...], Field(min_length=1, max_length=1000)]
     """The tasks."""
     limits: LimitsModel = LimitsModel()

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from rmrc.config.document import Document, Location
-from rmrc.config.mistakes import printable
 from rmrc.config.read import scalar
+from rmrc.errors import printable
 
 _UNQUOTED = re.compile(r"[A-Za-z_./][A-Za-z0-9_./-]*")
 _WIDEST = 60  # columns before the comments
@@ -78,4 +78,4 @@ def _text(text: str) -> str:
     """Return text as YAML, in quotes where it needs them."""
     if _UNQUOTED.fullmatch(text) and scalar(text) == text:
         return text
-    return json.dumps(text, ensure_ascii=False)
+    return printable(json.dumps(text, ensure_ascii=False))

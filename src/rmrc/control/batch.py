@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +12,7 @@ from rmrc.control.controller import FAILED, Controller, seconds_of
 from rmrc.control.engines import Choice
 from rmrc.control.inputs import Configurations, numbers
 from rmrc.control.step import Status
-from rmrc.errors import ModelError
+from rmrc.errors import ModelError, RmrcError
 from rmrc.problem.problem import Problem
 
 Array = NDArray[np.float64]
@@ -19,7 +20,9 @@ Flags = NDArray[np.int32]
 Rows = tuple[Array, Array, Flags]
 
 _MOST_SEVERE = np.array([max(bits.bit_length() - 1, 0) for bits in range(2 << max(Status))])
-_PARTS = "Python takes a part of each step, as with timeouts, a measured velocity or a jerk limit"
+_PARTS = (
+    "Python takes a part of each step, as with timeouts, a measured velocity, a lag or a jerk limit"
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,6 +94,12 @@ class BatchController:
         self.failures = np.zeros(n, dtype=np.int64)
         """Steps in a row (n,), up to the last, that ended without a certified solution."""
         self.reset()
+
+    def __reduce__(self) -> NoReturn:
+        raise RmrcError(
+            "a BatchController cannot be copied or pickled: it holds the memory of a solver. "
+            "Make another with BatchController(problem, n) and `reset` it to the same q and v"
+        )
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Start all elements anew; targets return to those of the configuration.

@@ -10,18 +10,23 @@ from rmrc.config.models import Config
 from rmrc.control.aims import build_aims, build_obstacles, unfinished
 from rmrc.control.controller import Controller
 from rmrc.control.execution import build_execution
+from rmrc.control.follow import joint_timing
 from rmrc.control.methods import shortcomings
 from rmrc.problem.compile import compile
 from rmrc.problem.configuration import joint_dofs
 from rmrc.problem.limits.box import RANGE_ROUNDING
+from rmrc.problem.limits.joints import joint_name
 from rmrc.problem.problem import Problem
+from rmrc.problem.tasks.base import square_root
 
 SHOWN = 6
-"""Distances that a line names."""
+"""Distances or tasks that a line names."""
 SHARE = 0.25
 """Share of the deadline up to which nothing is said of the time that rows take."""
 MANY = 500
 """Dofs above which no engine is built to look at."""
+OFF = 0.1
+"""How far from its target a task is for what its curvature adds, m or rad."""
 LOOKS, AWAY = 9, 1e-3
 """How often rows are timed, and how far from the start the joints are, rad or m: at the same place
 what was measured before would be used again."""
@@ -36,6 +41,8 @@ def check(config: Config) -> list[str]:
     problem = compile(config)
     aims = build_aims(problem)
     build_obstacles(problem)
+    if config.follow == "joint":
+        joint_timing(problem, aims)
     tasks = ", ".join(
         f"{term.name} ({term.type}, {'hard' if term.hard else f'level {term.level}'})"
         for term in problem.terms
@@ -52,6 +59,8 @@ def check(config: Config) -> list[str]:
         *_at_limits(problem),
         *_too_near(problem),
         *_slow_rows(problem, controller),
+        *_curvature(problem, controller),
+        *_slow_levels(problem, controller),
         *unfinished(aims, config),
         *problem.notices,
     ]
@@ -115,6 +124,62 @@ def _slow_rows(problem: Problem, controller: Controller) -> list[str]:
         f"of a deadline of {1e3 * problem.deadline:.2g} ms"
     )
     return [f"{line}: steps end with a brake" if rows > problem.deadline else line]
+
+
+def _curvature(problem: Problem, controller: Controller) -> list[str]:
+    """Return what the curvature of the tasks adds to λ² at the start, a tenth off their targets."""
+    assembly, evaluation = controller.engine.assembly, controller.engine.evaluation
+    lines, model = [], problem.model
+    evaluation.update(problem.start)
+    evaluation.evaluate()
+    for term in assembly.curvature.ways:
+        added = np.zeros(problem.dofs.size)
+        for row in range(*evaluation.rows_of([term]).indices(evaluation.error.size)):
+            rate = np.zeros_like(evaluation.error)
+            rate[row] = OFF * min(term.gain, 1.0 / problem.dt)
+            assembly.curvature.update(rate, problem.dt)
+            found = sum(assembly.curvature.levels.values(), np.zeros_like(added))
+            added = np.maximum(added, found)
+        k = int(added.argmax())
+        if added[k] > 0.0:
+            joint = joint_name(model, int(model.dof_jntid[problem.dofs[k]]))
+            lines.append(f"up to {added[k] / assembly.unit:.2g} at {joint} for {term.name}")
+    if not lines:
+        return []
+    more = f"; and for {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
+    return [
+        f"the curvature of a task that is {OFF:g} m or rad off adds to λ² = "
+        f"{problem.damping**2:.2g}: {'; '.join(lines[:SHOWN])}{more}"
+    ]
+
+
+def _slow_levels(problem: Problem, controller: Controller) -> list[str]:
+    """Return which lower levels λ² slows down by more than half, at the start.
+
+    Where the levels above leave a task free its error decays at K s/(s + λ²), with s an eigenvalue
+    of JᵀBJ; of the joints' own, s = B.
+    """
+    square = problem.damping**2
+    if problem.config.method != "qp":
+        return []
+    evaluation, lines = controller.engine.evaluation, []
+    evaluation.update(problem.start)
+    evaluation.evaluate()
+    for term in evaluation.terms:
+        if term.hard or term.preserve or not term.level or not term.gain:
+            continue
+        root = square_root(term.weight * problem.soft_ratio**term.level)
+        rows = np.diag(root) if root.ndim == 1 else root
+        if not term.joint:
+            rows = rows @ evaluation.jacobian[evaluation.rows_of([term])]
+        weight = float(np.linalg.norm(rows[:, problem.dofs], 2)) ** 2
+        if 0.0 < weight < square:
+            lines.append(
+                f"{term.name} decays at {100 * weight / (weight + square):.2g} % of its gain or "
+                f"less: on level {term.level} it weighs {weight:.2g}, and λ² is {square:.2g}; "
+                "for more raise its B, or lower λ"
+            )
+    return lines
 
 
 def _too_near(problem: Problem) -> list[str]:

@@ -2,20 +2,21 @@
 
 import math
 from time import perf_counter
+from typing import NoReturn
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.engines import Choice, build_engine
-from rmrc.control.inputs import LARGEST, Configurations, Targets
+from rmrc.control.inputs import LARGEST, Configurations, Targets, counted_from
 from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
 from rmrc.control.quick import quick_step, quick_target
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
-from rmrc.errors import ModelError, unknown_name
+from rmrc.errors import ModelError, RmrcError, unknown_name
 from rmrc.problem.frames import names
-from rmrc.problem.limits.box import braking
+from rmrc.problem.limits.box import braked
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 
 SHORTEST, LONGEST = 1e-9, 1e3
 """Lengths of a step in s beyond which a clock, not a robot, is at fault."""
+MOST_TOLD = 8
+"""Inputs that were refused since the last step, and are told of."""
 TICK_ROUNDING = 1e-9
 """A timeout that is passed by less than this, s, is not passed: ticks are summed up."""
 
@@ -58,7 +61,7 @@ class Controller:
         self._targets = Targets(self._evaluation, self._configurations)
         frozen = problem.box.velocity == 0.0
         self._frozen = frozen if frozen.any() else None
-        self._refused = False
+        self._refused: tuple[str, ...] = ()  # what is wrong with inputs since the last step
         self._term = dict(problem.term)
         self._obstacle = {
             name: int(model.body(name).mocapid[0]) for name in names(model, "mocap body")
@@ -68,6 +71,7 @@ class Controller:
         self._adapts = problem.config.damping.adapt != "off"
         self._jerk = bool(np.isfinite(problem.box.jerk).any())
         self._measures = problem.config.previous == "measured"
+        self._lag = problem.lag if problem.lag.any() else None
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
         self.stepper = self.engine.stepper(self._q, self._v)
         """What takes the common steps in the extension; None where Python takes them all."""
@@ -75,6 +79,12 @@ class Controller:
         self.failures = 0
         """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
+
+    def __reduce__(self) -> NoReturn:
+        raise RmrcError(
+            "a Controller cannot be copied or pickled: it holds the memory of a solver. "
+            "Make another with Controller(problem) and `reset` it to the same q and v"
+        )
 
     def reset(
         self,
@@ -104,10 +114,11 @@ class Controller:
             self._q[:] = self.problem.start
         self._v[:], self._a[:] = self._rates("v", v), self._rates("a", a)
         self._v[self._objects] = self._a[self._objects] = 0.0
-        self._refused = False
+        self._refused = ()
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
         self._measured: Array | None = None
+        self._last_rate = self._v.copy()
         self.failures = 0
         model, data = self._model, evaluation.data
         for name, mocap in self._obstacle.items():
@@ -161,7 +172,8 @@ class Controller:
         term = self._term.get(name) or self.problem.named(name)
         accepted = self._targets.take(term, position, quaternion, velocity, q, direction)
         if not accepted:
-            self._refused = True
+            what = self._targets.fault(term, position, quaternion, velocity, q, direction)
+            self._refused = (*self._refused[: MOST_TOLD - 1], what)
         elif self._timed:
             self._set_at[name] = self._clock
         return accepted
@@ -193,7 +205,8 @@ class Controller:
             data.mocap_pos[mocap], data.mocap_quat[mocap], position, quaternion, velocity
         )
         if pose is None:
-            self._refused = True
+            what = self._targets.pose_fault(name, position, quaternion, velocity)
+            self._refused = (*self._refused[: MOST_TOLD - 1], what)
             return False
         data.mocap_pos[mocap], data.mocap_quat[mocap] = pose[:3], pose[3:7]
         evaluation.obstacle_twist[mocap] = pose[7:]
@@ -212,25 +225,37 @@ class Controller:
         Args:
             q: Measured configuration (nq,); by default the one that the last command led to.
             dt: Length of the step, s; by default the problem's.
-            v: Measured velocity (nv,), which `previous: measured` counts from; by default what the
+            v: Measured velocity (nv,), for `previous: measured` and `lag`; by default what the
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
         self._begin()
         valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else seconds_of(dt)
-        if valid is None or seconds is None:
-            return self._brake(seconds, _INVALID_INPUT)
+        if valid is None:
+            return self._refuse(seconds, self._configurations.fault("q", q))
+        if seconds is None:
+            return self._refuse(
+                seconds, f"dt is {_told(dt)}, and no time of {SHORTEST:g} to {LONGEST:g} s"
+            )
         dt = seconds
         previous = self._v.copy()
-        if self._measures:
-            previous = self._previous(q is not None, valid, v, dt)
-            if previous is None:
-                return self._brake(dt, _INVALID_INPUT)
+        if self._measures or self._lag is not None:
+            rate = self._rate(q is not None, valid, v, dt)
+            if rate is None:
+                return self._refuse(dt, self._configurations.velocity_fault("v", v))
+            if self._measures:
+                previous = counted_from(rate, self._last_rate, self._v)
+                self._last_rate = rate
+            if self._lag is not None and q is not None:
+                # What y = q ⊕ lag·v does is v itself, so that all limits hold as without a lag.
+                mujoco.mj_integratePos(self._model, valid, self._lag * rate, 1.0)
         if self._timed:
             stale = self._stale(q is not None, age)
-            if stale is not False:
-                return self._brake(dt, _STALE if stale else _INVALID_INPUT)
+            if stale is None:
+                return self._refuse(dt, f"age is {_told(age)}, and no time in s")
+            if stale:
+                return self._brake(dt, _STALE)
         if self._jerk:
             self._evaluation.a_previous[:] = self._a
         return self._solved(valid, previous, dt)
@@ -239,7 +264,8 @@ class Controller:
     def _solved(self, q: Array, previous: Array, dt: float) -> Step:
         """Return a step of dt seconds from a valid q (nq,)."""
         solution = self.engine.solve(q, previous, dt)
-        if self.engine.evaluation.refused:
+        if refused := self.engine.evaluation.refused:
+            self._refused += tuple(refused)
             self._progress.reset()
         else:
             self._progress.update(solution.v, dt)
@@ -250,9 +276,9 @@ class Controller:
         if self._budget < math.inf:
             self.engine.deadline = perf_counter() + self._budget
 
-    def _previous(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
-        """Return the velocity that this step starts from, as measured; None if v is not valid."""
-        before, self._measured = self._measured, q if measured else None
+    def _rate(self, measured: bool, q: Array, v: ArrayLike | None, dt: float) -> Array | None:
+        """Return the measured velocity, the last command without one; None if v is not valid."""
+        before, self._measured = self._measured, q.copy() if measured else None
         if v is not None:
             found = self._configurations.read_velocity(v)
         elif before is None or not measured:
@@ -298,7 +324,8 @@ class Controller:
         self._q[:], self._v[:] = following, v
         self._clock += dt
         self.failures = self.failures + 1 if flags & FAILED else 0
-        moment = Moment(self.engine, q, previous, acceleration, dt)
+        moment = Moment(self.engine, q, previous, acceleration, dt, invalid=self._refused)
+        self._refused = ()
         return Step(Made(v, following, solution, moment), flags)
 
     @property
@@ -314,8 +341,10 @@ class Controller:
         """
         self._begin()
         valid = self._q.copy() if q is None else self._configurations.read(q)
-        if valid is None or not np.isfinite(v).all():
-            return self._brake(None, _INVALID_INPUT)
+        if valid is None:
+            return self._refuse(None, self._configurations.fault("q", q))
+        if not np.isfinite(v).all():
+            return self._refuse(None, self._configurations.velocity_fault("v", v))
         engine, dofs, dt = self.engine, self.problem.dofs, self.problem.dt
         outside = engine.prepare(valid, self._v, dt)
         qp = engine.assembly.qp
@@ -334,12 +363,9 @@ class Controller:
         """Return the statuses that hold, bit k for the status of value k."""
         flags = 0
         if self._refused:
-            self._refused = False
             flags |= _INVALID_INPUT
         engine = self.engine
-        if engine.evaluation.refused:
-            flags |= _INVALID_INPUT
-        elif solution.status is not _SOLVED:
+        if not engine.evaluation.refused and solution.status is not _SOLVED:
             flags |= _DEADLINE if solution.status is SolveStatus.TIME_LIMIT else _MAX_ITER
         if self._budget < math.inf and perf_counter() > engine.deadline:
             flags |= _DEADLINE
@@ -357,9 +383,14 @@ class Controller:
         if self._frozen is not None:
             z = np.where(self._frozen, 0.0, z)  # a frozen joint is no limit that is in the way
         y = solution.row_multiplier
-        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2 or engine.share < 1.0:
+        if z.dot(z) + y.dot(y) > ACTIVE_MULTIPLIER**2 or engine.share < 1.0 or engine.passes:
             flags |= _LIMITED
         return flags
+
+    def _refuse(self, dt: float | None, what: str) -> Step:
+        """Return a brake in place of a step for which an argument is not valid."""
+        self._refused += (f"{what}; the robot brakes",)
+        return self._brake(dt, _INVALID_INPUT)
 
     def _brake(self, dt: float | None, flags: int) -> Step:
         """Return a step that slows down at the acceleration limit, or stands still at once.
@@ -367,14 +398,13 @@ class Controller:
         Nothing of the controller changes but what it has commanded.
         """
         if self._refused:
-            self._refused, flags = False, flags | _INVALID_INPUT
+            flags |= _INVALID_INPUT
         seconds = dt or self.problem.dt
         dofs, box, v = self.problem.dofs, self.problem.box, np.zeros(self._model.nv)
         before = self._v[dofs]
-        _, change = braking(box, np.abs(before), seconds)
-        # What is faster than it may be sheds all that it can; about its axis a ball may shed less.
+        # What is faster than it may be sheds all that it can, not only its part.
         most = np.maximum(box.velocity, np.abs(before) - box.acceleration * seconds)
-        v[dofs] = np.clip(before - np.clip(before, -change, change), -most, most)
+        v[dofs] = np.clip(braked(box, before, seconds, self._q), -most, most)
         solution = Solution.at_rest(self.engine.assembly.qp)
         solution.v = v[dofs]
         self._progress.reset()
@@ -394,5 +424,11 @@ def _number(value: object) -> float | None:
         return None
     try:
         return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
+    except Exception:  # a `__float__` of others raises what it likes
         return None
+
+
+def _told(value: object) -> str:
+    """Return a value as a message shows it."""
+    seconds = _number(value)
+    return f"a {type(value).__name__}" if seconds is None else f"{seconds:g}"

@@ -1,5 +1,7 @@
 """The second-order correction of rows that the curvature of a step would break."""
 
+from collections.abc import Iterable
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -18,27 +20,30 @@ INSIDE = 1e-7
 
 
 def raise_rows(
-    qp: QP, blocks: list[Block], end: mujoco.MjData, dt: float, resolution: float
+    qp: QP, blocks: list[Block], ends: Iterable[tuple[mujoco.MjData, float]], resolution: float
 ) -> bool:
-    """Raise lo, in place, for a step that leads to `end`; return whether anything fell short.
+    """Raise lo, in place, for a command that leads to `ends`; return whether anything fell short.
 
-    A row holds to first order in the step, slope·v dt ≥ lo dt; where the distance after the step is
-    short of min(0, h now) by δ, lo rises by δ/dt (the second-order correction of sequential
-    quadratic programming: Fletcher 1982). A robot in touch can then slide, and not only stop.
+    A row holds to first order in the way, slope·v t ≥ lo t for an end that is as far away as v goes
+    in a time t; where the distance there is short of min(0, h now) by δ, lo rises by δ/t (the
+    second-order correction of sequential quadratic programming: Fletcher 1982). A robot in touch
+    can then slide, and not only stop.
     """
-    short, spare = False, SPARE * resolution
-    for block in blocks:
-        near = block.near
-        after = block.barrier.distances(end, near.ids)
-        shortfall = np.minimum(near.distance, 0.0) + spare - after
-        missing = shortfall > spare
-        if missing.any():
-            short = True
-            lower = qp.lo[block.rows]
-            lower[missing] += ENOUGH / dt * shortfall[missing]
+    spare = SPARE * resolution
+    raised = [np.zeros(block.near.ids.size) for block in blocks]
+    for end, time in ends:
+        for block, more in zip(blocks, raised, strict=True):
+            near = block.near
+            after = block.barrier.distances(end, near.ids)
+            shortfall = np.minimum(near.distance, 0.0) + spare - after
+            missing = shortfall > spare
+            np.maximum(more, ENOUGH / time * shortfall, out=more, where=missing)
+    for block, more in zip(blocks, raised, strict=True):
+        if more.any():
             # The box alone must still allow it; 0 · ∞ would be no number.
             rows = qp.C[block.rows]
             low, high = np.maximum(qp.lb, -FASTEST), np.minimum(qp.ub, FASTEST)
             most = np.maximum(rows * low, rows * high).sum(axis=1)
-            np.minimum(lower, most - INSIDE * np.abs(most), out=lower)
-    return short
+            most -= INSIDE * np.abs(most)
+            qp.lo[block.rows] = np.minimum(qp.lo[block.rows] + more, most)
+    return any(more.any() for more in raised)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rmrc.control.correct import raise_rows
 from rmrc.control.shorten import Shortening
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.limits.box import braking
+from rmrc.problem.limits.box import braked
 from rmrc.problem.problem import Problem
 from rmrc.qp.assemble import Assembly
 from rmrc.qp.backends import HEALTHY, Backend, create
@@ -67,6 +67,8 @@ class PythonEngine:
     name = "python"
     fault: str | None = None
     """What ends a run: nothing does."""
+    passes = False
+    """Whether a command passes a limit of a joint: none does."""
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -82,6 +84,8 @@ class PythonEngine:
         self._dt = problem.dt
         """Length of the present step, s."""
         self._box_alone = not (self._rows.any or hard)
+        self._cuts = False
+        """Whether planes may be added to the present program, as nothing of it was relaxed."""
         self._cascade = Cascade(problem.dofs.size, self._new_backend) if problem.cascaded else None
         self.deadline = math.inf
         """When the step must be done, on the clock of `perf_counter`, s."""
@@ -144,6 +148,8 @@ class PythonEngine:
         """Forget the last solution, so that the next solve starts cold."""
         for solver in self._solvers.values():
             solver.ready = False
+        for barrier in self._rows.barriers:
+            barrier.forget()
 
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, the best that the ladder has.
@@ -160,16 +166,39 @@ class PythonEngine:
         self.scaled = False
         if self.evaluation.refused:
             return self._held_back(dt)
-        solution, assembly = self._best(), self._assembly
-        if not self._trusted(solution):
-            solution = self._descend_ladder(solution)
+        solution, assembly = self._certified(), self._assembly
+        while self._cuts and self._in_time() and self._cut(solution):
+            solution = self._certified()
+        self._slow_down(solution)
         if assembly.yielding.softened:
             self.relaxed |= assembly.yielding.misses(solution.v) > INCONSISTENT
         if self._shortening is not None and self._rows.blocks:
             solution = self._at_distance(solution, dt)
         else:
             self.share = 1.0
+        self._rows.straighten(assembly.qp)
         return solution
+
+    def _certified(self) -> Solution:
+        """Return the optimum of the program, or what the ladder has in place of it."""
+        solution = self._best()
+        return solution if self._trusted(solution) else self._descend_ladder(solution)
+
+    def _cut(self, solution: Solution) -> bool:
+        """Change the program where its solution moves frames too fast; return whether it was.
+
+        The programs of a cascade have no cost in common that the curvature could be added to.
+        """
+        y = solution.row_multiplier if self._cascade is None else None
+        return self._rows.cut(self._assembly.qp, solution.v, y)
+
+    def _slow_down(self, solution: Solution) -> None:
+        """Have no frame faster than it may be, where a solution was not found by planes alone."""
+        rows = self._rows
+        if not rows.speed_count or rows.excess(solution.v) <= 0.0:
+            return
+        solution.v = rows.slowed(self._brake(), solution.v)
+        self.relaxed |= self._misses(solution.v)
 
     def _held_back(self, dt: float) -> Solution:
         """Return the brake, for a step of which a part cannot be used; it keeps distances."""
@@ -191,6 +220,7 @@ class PythonEngine:
         equalities = None if self.evaluation.refused else assembly.equalities()
         self.relaxed = equalities is not None and equalities.inconsistency > INCONSISTENT
         self._rows.update(assembly.qp, assembly.rate, dt)
+        self._cuts = True
         self._take_rows(equalities)
         return outside or self._rows.passed
 
@@ -221,6 +251,7 @@ class PythonEngine:
         solution, qp = self._elsewhere(self._from_cold(failed)), self._assembly.qp
         if self._trusted(solution):
             return solution
+        self._cuts = False
         if not (qp.lo.size or qp.f.size):
             return solution if self._feasible(solution) else self._stop(solution)
         if not self._feasible(solution) and self._in_time():
@@ -264,7 +295,7 @@ class PythonEngine:
         assembly, cascade = self._assembly, self._cascade
         levels = assembly.levels()
         solution = cascade.solve(levels, assembly.qp)
-        if assembly.yielding.turns_back(cascade.optima):
+        if assembly.yielding.turns_back(cascade.directed):
             levels = assembly.levels(directed=False)
             solution = cascade.solve(levels, assembly.qp)
         if assembly.yielding.still and self.problem.curvature:
@@ -348,17 +379,16 @@ class PythonEngine:
         return failed
 
     def _brake(self) -> Array:
-        """Return the point of the box nearest to rest; a ball joint goes on about its axis."""
-        qp, box = self._assembly.qp, self.problem.box
-        v = np.zeros(qp.g.size)
-        if box.balls.size:
-            before = self.evaluation.v_previous[self.problem.dofs]
-            steps, _ = braking(box, np.abs(before), self._dt)
-            some = (box.balls[:, None] + np.arange(3)).ravel()
-            some = some[steps[some] > 1.0]
-            v[some] = before[some] - before[some] / steps[some]
-        v = np.clip(v, qp.lb, qp.ub)
+        """Return the point of the box nearest to the next one on the way to rest."""
+        qp = self._assembly.qp
+        v = np.clip(self._planned(), qp.lb, qp.ub)
         return v if np.isfinite(v).all() else np.zeros(qp.g.size)
+
+    def _planned(self) -> Array:
+        """Return what braking as the step before has looked at it leaves of the velocity (n,)."""
+        evaluation = self.evaluation
+        before = evaluation.v_previous[self.problem.dofs]
+        return braked(self.problem.box, before, self._dt, evaluation.data.qpos)
 
     def keep_distances(self, solution: Solution, dt: float) -> None:
         """Shorten v towards the brake where a distance would be passed at the end of the step."""
@@ -383,16 +413,13 @@ class PythonEngine:
         So it does where they come back into their ranges: its way to rest is then not what the step
         before has looked at.
         """
-        box, before = self.problem.box, self.evaluation.v_previous[self.problem.dofs]
-        left = np.maximum(np.abs(before) - box.acceleration * self._dt, 0.0)
-        left[(box.balls[:, None] + np.arange(3)).ravel()] = np.inf  # a ball brakes about its axis
-        limited = np.isfinite(box.acceleration)
-        return bool((np.abs(brake) > left + FORCED)[limited].any())
+        faster = np.abs(brake) > np.abs(self._planned()) + FORCED
+        return bool(faster[np.isfinite(self.problem.box.acceleration)].any())
 
     def _misses(self, v: Array) -> bool:
         """Return whether a shortened command misses equalities, or rows that are no distances'.
 
-        Of the speed of a frame its norm counts, not the box inside it that the rows are.
+        Of the speed of a frame its norm counts, not the planes that stand for it.
         """
         qp, rows = self._assembly.qp, self._rows
         if qp.f.size and np.abs(qp.E @ v - qp.f).max() > CERTIFIED:
@@ -401,13 +428,10 @@ class PythonEngine:
             return False
         activity = qp.C @ v
         missed = np.maximum(qp.lo - activity, activity - qp.hi)
-        for block in rows.blocks:
+        for block in rows.blocks + rows.kept_blocks:
             missed[block.rows] = 0.0
-        frames = slice(rows.speed_count)
-        velocity, bound = activity[frames].reshape(-1, 3), qp.hi[frames].reshape(-1, 3)
-        missed[frames] = 0.0
-        too_fast = np.linalg.norm(velocity, axis=1) - np.linalg.norm(bound, axis=1)
-        return max(missed.max(initial=0.0), too_fast.max(initial=0.0)) > CERTIFIED
+        missed[: rows.speed_count] = 0.0
+        return max(missed.max(initial=0.0), rows.excess(v)) > CERTIFIED
 
     def _at_distance(self, solution: Solution, dt: float) -> Solution:
         """Return a solution that keeps distances: solved again for the curvature, or shortened."""
@@ -417,11 +441,13 @@ class PythonEngine:
         untouched = self.share == 1.0 or qp.lo.size != self._rows.count
         if self._shortening is None or untouched or not self._in_time():
             return solution
-        end = self._shortening.end(evaluation.data, whole, dt)
-        if not raise_rows(qp, self._rows.blocks, end, dt, self.problem.resolution):
+        ends = self._shortening.ends(evaluation.data, whole, dt)
+        if not raise_rows(qp, self._rows.blocks, ends, self.problem.resolution):
             return solution
         corrected = self._best()
-        if not self._trusted(corrected):
+        while self._trusted(corrected) and self._cut(corrected):
+            corrected = self._best()
+        if not self._trusted(corrected) or self._rows.excess(corrected.v) > 0.0:
             return solution
         share, passed = self.share, self.relaxed
         self.relaxed = relaxed

@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.control.joint_bounds import JointBounds
+from rmrc.control.methods import PASSED
 from rmrc.control.reasons import Reason, reasons
 from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
+from rmrc.errors import printable
+from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.tasks.base import Term
 from rmrc.qp.program import Solution
 
@@ -84,6 +87,21 @@ class Passed:
 
 
 @dataclass(frozen=True)
+class Broken:
+    """A limit of a joint that a command passes."""
+
+    limit: str
+    """Its kind, as the configuration names it."""
+    name: str
+    """The joint."""
+    by: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name} by {self.by:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
 class Explanation:
     """An account of one step."""
 
@@ -100,6 +118,12 @@ class Explanation:
     so that many at once can hold a robot where it is."""
     reasons: tuple[Reason, ...] = ()
     """Why the tasks are not there, of a step that is stuck."""
+    curvature: tuple[str, float, float] | None = None
+    """The joint that the tasks' curvature damps most, by how much, and λ²; None without any."""
+    invalid: tuple[str, ...] = ()
+    """What was wrong with the inputs."""
+    broken: tuple[Broken, ...] = ()
+    """The limits of joints that the command of a method passes that keeps none, the most first."""
 
     @property
     def relief(self) -> Binding | None:
@@ -108,12 +132,17 @@ class Explanation:
 
     def __str__(self) -> str:
         lines = [f"{flag.name}: {flag.advice}" for flag in self.flags]
+        if self.invalid:
+            lines += ["what was not valid:", *(f"  {what}" for what in self.invalid)]
         if self.reasons:
             lines += ["why it is not there:", *(f"  {reason}" for reason in self.reasons)]
         if self.bindings:
             lines += ["what binds:", *(f"  {binding}" for binding in self.bindings)]
-        else:
+        elif not self.broken:
             lines.append("no limit binds")
+        if self.broken:
+            lines += ["what is passed, for the method keeps no limit of the kind:"]
+            lines += [f"  {broken.limit} limit of {broken}" for broken in self.broken]
         if self.share < 1.0:
             lines.append(
                 f"the command was shortened to {self.share:.0%}, to keep distances after the step"
@@ -127,12 +156,18 @@ class Explanation:
             ]
         if self.tasks:
             lines += ["what the tasks asked for and got:", *(f"  {task}" for task in self.tasks)]
+        if self.curvature is not None:
+            joint, added, square = self.curvature
+            lines.append(
+                f"damping: λ² = {square:.3g}, and for the curvature of the tasks up to "
+                f"{added:.3g} more, at {joint}"
+            )
         if self.relief is not None and not self.reasons:
             lines.append(
                 f"what would help most: relaxing the {self.relief.limit} limit of "
                 f"{self.relief.name}"
             )
-        return "\n".join(lines)
+        return "\n".join(map(printable, lines))
 
 
 def explain(step: "Step", stuck: bool | None = None) -> Explanation:
@@ -151,13 +186,35 @@ def explain(step: "Step", stuck: bool | None = None) -> Explanation:
             *_rows(moment, solution),
         ]
         tasks = [_progressed(term, moment, step) for term in problem.terms if term.units]
-        passed = _passed(moment)
+        passed, broken = _passed(moment), _broken(moment, solution)
         is_stuck = Status.STUCK in flags if stuck is None else stuck
         found = reasons(moment, solution) if is_stuck else ()
+        curvature = _curvature(moment)
     bindings.sort(key=lambda binding: -abs(binding.multiplier))
     return Explanation(
-        step.status, flags, tuple(bindings), tuple(tasks), moment.share, tuple(passed), found
+        step.status,
+        flags,
+        tuple(bindings),
+        tuple(tasks),
+        moment.share,
+        tuple(passed),
+        found,
+        curvature,
+        moment.invalid,
+        tuple(broken),
     )
+
+
+def _curvature(moment: Moment) -> tuple[str, float, float] | None:
+    """Return the joint that X damps most, its X, and λ², in the unit of the weights."""
+    assembly, evaluation = moment.engine.assembly, moment.engine.evaluation
+    # The native engine keeps its own X to itself.
+    assembly.curvature.update(assembly.rate - evaluation.feedforward, moment.dt)
+    added = sum(assembly.curvature.levels.values(), np.zeros(moment.engine.problem.dofs.size))
+    k = int(added.argmax())
+    if not added[k] > 0.0:
+        return None
+    return JointBounds(moment).name(k), float(added[k]) / assembly.unit, assembly.damping**2
 
 
 def _passed(moment: Moment) -> list[Passed]:
@@ -173,6 +230,19 @@ def _passed(moment: Moment) -> list[Passed]:
     return sorted(found, key=lambda passed: -passed.by)
 
 
+def _broken(moment: Moment, solution: Solution) -> list[Broken]:
+    """Return the limits of joints that a command passes, the most first."""
+    if moment.engine.problem.config.method == "qp":
+        return []
+    bounds, qp, found = JointBounds(moment), moment.engine.assembly.qp, []
+    turning, dofs = turning_dofs(moment.engine.problem.model), moment.engine.problem.dofs
+    for side, beyond in (("lower", qp.lb - solution.v), ("upper", solution.v - qp.ub)):
+        for k in np.flatnonzero(beyond > PASSED).tolist():
+            unit = "rad/s" if turning[dofs[k]] else "m/s"
+            found.append(Broken(bounds.kind(k, side), bounds.name(k), float(beyond[k]), unit))
+    return sorted(found, key=lambda broken: -broken.by)
+
+
 def _joints(moment: Moment, solution: Solution) -> list[Binding]:
     """Return the active bounds of the joints."""
     bounds, unit, found = JointBounds(moment), moment.engine.assembly.unit, []
@@ -185,15 +255,16 @@ def _joints(moment: Moment, solution: Solution) -> list[Binding]:
 
 
 def _rows(moment: Moment, solution: Solution) -> list[Binding]:
-    """Return the active rows."""
-    assembly = moment.engine.assembly
-    found = []
+    """Return the active limits among the rows; several planes may stand for one speed."""
+    unit = moment.engine.assembly.unit
+    found: dict[tuple[str, str, str, float], float] = {}
     for k in np.flatnonzero(np.abs(solution.row_multiplier) > ACTIVE_MULTIPLIER).tolist():
         multiplier = float(solution.row_multiplier[k])
         kind, name, lower, upper = moment.named_row(k)
-        bound, side = (upper, "upper") if multiplier > 0.0 else (lower, "lower")
-        found.append(Binding(kind, name, side, bound, abs(multiplier) / assembly.unit))
-    return found
+        side, bound = ("upper", upper) if multiplier > 0.0 else ("lower", lower)
+        limit = (kind, name, side, bound)
+        found[limit] = found.get(limit, 0.0) + abs(multiplier) / unit
+    return [Binding(*limit, multiplier) for limit, multiplier in found.items()]
 
 
 def _progressed(term: Term, moment: Moment, step: "Step") -> Progressed:

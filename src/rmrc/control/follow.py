@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rmrc.config.mistakes import Mistake, config_error
 from rmrc.control.aims import Aim
 from rmrc.control.controller import Controller
-from rmrc.control.paths.base import TimedPath
+from rmrc.control.paths.base import PathModel, TimedPath
 from rmrc.control.paths.profiles import PROFILES
 from rmrc.control.step import Step
 from rmrc.problem.carrier import carry_on
@@ -68,6 +68,50 @@ class WaypointFollower:
         return self._set_points.move_to(reached.q, q)
 
 
+def joint_timing(problem: Problem, aims: Sequence[Aim]) -> TimedPath:
+    """Return the timed path whose profile, delay and duration all joints take over.
+
+    Raises:
+        ConfigError: If there is none, or targets that move in another time.
+    """
+    models = problem.config.targets
+    timed = [(aim, path) for aim in aims if isinstance(path := models[aim.term.name], TimedPath)]
+    if not timed:
+        raise config_error(
+            [Mistake(("follow",), "joint needs a target on a path with a duration or a speed")],
+            problem.config,
+        )
+    first, path = timed[0]
+    others = {
+        aim.term.name: _timing(aim, models[aim.term.name])
+        for aim in aims
+        if aim.path.duration > 0.0
+    }
+    own = others[first.term.name] if first.path.duration > 0.0 else _timing(first, path)
+    for name, other in others.items():
+        if other != own:
+            raise config_error(
+                [
+                    Mistake(
+                        ("follow",),
+                        f"joint moves all joints in one time, and '{first.term.name}' takes {own} "
+                        f"where '{name}' takes {other}: give them the same, or take rate or "
+                        "waypoints",
+                    )
+                ],
+                problem.config,
+            )
+    return path
+
+
+def _timing(aim: Aim, path: PathModel) -> str:
+    """Return the time that a target takes, as a message says it."""
+    if not isinstance(path, TimedPath):
+        return f"times of its own, up to {aim.path.duration:g} s"
+    taken = aim.path.duration - path.delay
+    return f"{taken:g} s with the profile {path.profile} after a delay of {path.delay:g} s"
+
+
 class JointFollower:
     """`joint`: the poses at both ends are solved, and the joints go from one to the other.
 
@@ -76,14 +120,15 @@ class JointFollower:
 
     def __init__(self, controller: Controller, aims: Sequence[Aim]):
         self._controller, self._aims = controller, aims
-        path = self._timed(controller.problem)
+        path = joint_timing(controller.problem, aims)
         self._profile = PROFILES[path.profile]
         self._delay = path.delay
-        self._duration = max(aim.path.duration for aim in aims) - path.delay
+        last = max(aim.path.duration for aim in aims)
+        self._duration = last - path.delay
         reacher = Reacher(controller.problem)
         ends = []
         self.solves, q = 0, controller.problem.start
-        for end in (0.0, max(aim.path.duration for aim in aims)):
+        for end in (0.0, last):
             for aim in aims:
                 aim.sample(end)
                 aim.set_on(reacher.controller, moving=False)
@@ -94,17 +139,6 @@ class JointFollower:
         self._begin = ends[0]
         self._tangent = _difference(controller, ends[0], ends[1], 1.0)
         self._set_points = _SetPoints(controller)
-
-    @staticmethod
-    def _timed(problem: Problem) -> TimedPath:
-        """Return the one timed path whose profile the joints take over."""
-        timed = [p for p in problem.config.targets.values() if isinstance(p, TimedPath)]
-        if not timed:
-            raise config_error(
-                [Mistake(("follow",), "joint needs a target on a path with a duration or a speed")],
-                problem.config,
-            )
-        return timed[0]
 
     def step(self, now: float, q: Array | None) -> Step:
         """Command the difference to where the joints should be one step later."""

@@ -56,6 +56,51 @@ def numbers(value: Any, *shape: int) -> Array | None:
     return array
 
 
+def counted_from(rate: Array, before: Array, command: Array) -> Array:
+    """Return the velocity (nv,) that accelerations count from where v is measured.
+
+    It is the measured one, but of a joint that the last command slowed down already: there it is
+    the last command, or rest where that has another sign. A drive that lags follows a command that
+    stays a·dt below what is measured with a·dt/lag alone, and passes its limit.
+
+    Args:
+        rate: The measured velocity (nv,).
+        before: That of the step before.
+        command: The last command (nv,).
+    """
+    ahead = np.sign(rate)
+    slows = (ahead * before > 0.0) & (ahead * command < ahead * before)
+    return np.where(slows, ahead * np.clip(ahead * command, 0.0, np.abs(rate)), rate)
+
+
+def fault(name: str, value: Any, *shape: int) -> str | None:
+    """Return what is wrong with real numbers of a shape, as "q[2] is nan"; None if nothing is."""
+    array = numbers(value, *shape)
+    if array is None:
+        try:
+            found = np.asarray(value)
+        except Exception:  # as in `numbers`
+            return f"{name} is no array of numbers, but {_kind(value)}"
+        if found.dtype.kind not in "fiu":
+            return f"{name} is no array of numbers, but {_kind(value)}"
+        return f"{name} has the shape {found.shape}, and not {shape}"
+    wrong = np.argwhere(~(np.absolute(array) < LARGEST))  # NaN is not less
+    if not wrong.size:
+        return None
+    at, number = wrong[0].tolist(), array[tuple(wrong[0])]
+    what = f"{name}{at or ''} is {number:.4g}"
+    return what if not np.isfinite(number) else f"{what}, and no number is beyond {LARGEST:g}"
+
+
+def _kind(value: object) -> str:
+    return "None" if value is None else f"a {type(value).__name__}"
+
+
+def _of_no_length(name: str, value: Any, *shape: int) -> str | None:
+    """Return what is wrong with a quaternion or a direction."""
+    return fault(name, value, *shape) or f"{name} is zero, and has no direction"
+
+
 class Configurations:
     """Reads configurations (nq,) of one model."""
 
@@ -81,6 +126,14 @@ class Configurations:
                 return None
             quaternion /= norm
         return array
+
+    def fault(self, name: str, q: object) -> str:
+        """Return what is wrong with a q that was not read."""
+        return fault(name, q, self.size) or f"{name} has a quaternion that is zero"
+
+    def velocity_fault(self, name: str, v: object) -> str:
+        """Return what is wrong with a v that was not read."""
+        return fault(name, v, self.rates) or f"{name} is not valid"
 
     def read_velocity(self, v: object) -> Array | None:
         """Return v as a new array (nv,), or None if it is not valid."""
@@ -124,6 +177,37 @@ class Targets:
             length = math.sqrt(axis.dot(axis))
             return length > ZERO_NORM and self._write(name, axis / length, velocity, slice(3, 6))
         return False
+
+    def fault(
+        self, term: Term, position: Any, quaternion: Any, velocity: Any, q: Any, direction: Any
+    ) -> str:
+        """Return what is wrong with a target that was not taken."""
+        kind, read = term.target_kind, self._configurations
+        names = ("position", "quaternion", "velocity", "q", "direction")
+        given: dict[str, Any] = dict(
+            zip(names, (position, quaternion, velocity, q, direction), strict=True)
+        )
+        foreign = [names[k] for k in _FOREIGN[kind] if given[names[k]] is not None]
+        needed: dict[str, str] = {"point": "position", "rates": "velocity", "configuration": "q"}
+        needed["direction"] = "direction"
+        if foreign:
+            what = f"it takes no {foreign[0]}"
+        elif kind in needed and given[needed[kind]] is None:
+            what = f"it needs a {needed[kind]}"
+        elif kind == "configuration":
+            what = read.fault("q", q)
+        elif kind == "rates":
+            what = read.velocity_fault("velocity", velocity)
+        else:
+            width = 6 if kind == "pose" else 3
+            what = (
+                (position is not None and fault("position", position, 3))
+                or (velocity is not None and fault("velocity", velocity, width))
+                or (quaternion is not None and _of_no_length("quaternion", quaternion, 4))
+                or (direction is not None and _of_no_length("direction", direction, 3))
+                or "it is not valid"
+            )
+        return f"target of {term.name}: {what}; the last good one stays"
 
     def _write(
         self, name: str, value: Array | None, velocity: Any = None, part: slice = slice(0)
@@ -183,6 +267,17 @@ class Targets:
             return False
         _POSE.pack_into(target, 0, w * k, x * k, y * k, z * k, a, b, c)  # pyright: ignore
         return True
+
+    @staticmethod
+    def pose_fault(name: str, position: Any, quaternion: Any, velocity: Any) -> str:
+        """Return what is wrong with an obstacle's pose that was not taken."""
+        what = (
+            (position is not None and fault("position", position, 3))
+            or (velocity is not None and fault("velocity", velocity, 6))
+            or (quaternion is not None and _of_no_length("quaternion", quaternion, 4))
+            or "it is not valid"
+        )
+        return f"obstacle {name}: {what}; it stays where it was"
 
     @staticmethod
     def pose(

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+PASSED = 1e-9
+"""What a command is beyond the limits of a joint by, rad/s or m/s, is more than rounding."""
 UNCERTIFIED = KKT(np.nan, np.nan, np.nan)
 """A closed form solves no program, and so has no residuals."""
 
@@ -213,6 +215,8 @@ class MethodEngine:
         self.outside = False
         self.scaled = False
         """Whether the limits slowed the task down at the last step."""
+        self.passes = False
+        """Whether the last command passes a limit of a joint."""
         self.fault: str | None = None
         """Why mink has given no command, where it has not."""
         method = problem.config.method
@@ -285,14 +289,18 @@ class MethodEngine:
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the closed form's v at q (nq,) for a step of dt seconds.
 
-        Where it has none, as an inverse at a singularity or mink where no v keeps its limits, v is
-        the brake.
+        Where it has none, as an inverse at a singularity or mink where no v keeps its limits, or
+        where an evaluation cannot be used, v is the brake.
         """
         self.outside, self.fault = self.prepare(q, v_previous, dt), None
         qp = self.assembly.qp
         ask = Ask(self.problem, self.evaluation, self.assembly, self._rows, self._weight, dt)
         solution = Solution.at_rest(qp)
         solution.kkt = UNCERTIFIED
+        self.passes = False
+        if self.evaluation.refused:
+            solution.v = np.clip(solution.v, qp.lb, qp.ub)
+            return solution
         try:
             found = self._method(ask)
         except ValueError as failure:
@@ -304,6 +312,8 @@ class MethodEngine:
         self.scaled = scale < 1.0 - WHOLE
         if np.isfinite(found).all():
             solution.v, solution.status = found, SolveStatus.SOLVED
+            beyond = np.maximum(qp.lb - found, found - qp.ub)
+            self.passes = bool(beyond.max(initial=0.0) > PASSED)
         else:
             solution.v = np.clip(solution.v, qp.lb, qp.ub)
         return solution

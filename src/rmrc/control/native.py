@@ -203,7 +203,6 @@ class NativeEngine(PythonEngine):
                 box.acceleration.tolist(),
                 box.jerk.tolist(),
                 box.step.tolist(),
-                box.balls.tolist(),
             ),
             H=qp.H,
             g=qp.g,
@@ -376,7 +375,8 @@ class NativeEngine(PythonEngine):
         if not self._alone or self._foreign:
             return None
         timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
-        if timed or problem.config.previous == "measured" or np.isfinite(problem.box.jerk).any():
+        measures = problem.config.previous == "measured" or problem.lag.any()
+        if timed or measures or np.isfinite(problem.box.jerk).any():
             return None
         return build_stepper(self, self._native, q, v)
 

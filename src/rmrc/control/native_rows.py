@@ -51,7 +51,7 @@ class NativeRows(Rows):
         """
         problem, evaluation = self._problem, self._evaluation
         model, n = problem.model, problem.dofs.size
-        sizes = [barrier.size for barrier in self.barriers]
+        sizes = [barrier.size + barrier.most_kept for barrier in self.barriers]
         capacity = self.speed_count + sum(sizes)
         self._matrix, self._slope = np.zeros((capacity, n)), np.zeros((capacity, model.nv))
         self._limits, self._ids = np.zeros((2, capacity)), np.zeros(capacity, dtype=np.intp)
@@ -59,7 +59,6 @@ class NativeRows(Rows):
         self.native = _native.Rows(
             engine=engine,
             now=kinematics(evaluation.data, cdof),
-            inverse_acceleration=self._inverse_acceleration.tolist(),
             matrix=self._matrix,
             lower=self._limits[0],
             upper=self._limits[1],
@@ -140,6 +139,13 @@ class NativeRows(Rows):
         """Write the rows at the present kinematics, and read them."""
         self.native.update(qp.lb, qp.ub, dt)
         self.read()
+        first = 0
+        for speed, part in self._speeds:  # which `cut` goes on from
+            own = np.zeros((speed.count, self._problem.model.nv)), np.zeros(speed.count)
+            speed.write(self._problem.model, self._evaluation.v_previous, rate[part], *own)
+            rows = slice(first, first + speed.count)
+            self.matrix[rows], self.upper[rows] = own[0][:, self._problem.dofs], own[1]
+            first += speed.count
         mink_rows = self._mink_rows(dt)
         if mink_rows:
             rows, upper = (np.concatenate(parts) for parts in zip(*mink_rows, strict=True))
@@ -155,8 +161,12 @@ class NativeRows(Rows):
         rows = slice(self.count)
         self.matrix, limits = self._matrix[rows].copy(), self._limits[:, rows].copy()
         self.lower, self.upper = limits
-        self.blocks = []
-        for barrier, (first, count) in zip(self.barriers, native.blocks, strict=True):
+        self.blocks = list(self._read_blocks(native.blocks))
+        self.kept_blocks = list(self._read_blocks(native.kept_blocks))
+        return self._multiplier[: self.count].copy()
+
+    def _read_blocks(self, places: list[tuple[int, int]]) -> Iterator[Block]:
+        for barrier, (first, count) in zip(self.barriers, places, strict=True):
             if count:
                 rows = slice(first, first + count)
                 near = Near(
@@ -165,8 +175,7 @@ class NativeRows(Rows):
                     self._slope[rows].copy(),
                     self._drift[rows].copy(),
                 )
-                self.blocks.append(Block(barrier, near, rows))
-        return self._multiplier[: self.count].copy()
+                yield Block(barrier, near, rows)
 
 
 class NativeShortening(Shortening):
@@ -178,8 +187,6 @@ class NativeShortening(Shortening):
         self.native = _native.Shortening(
             rows=rows.native,
             own=kinematics(self._data, cdof),
-            deceleration=self._box.acceleration.tolist(),
-            balls=self._box.balls.tolist(),
             twist=self._twist,
         )
         watched = native_kinematics.of_barriers(rows.barriers)

@@ -32,6 +32,8 @@ HALF = 0.5
 WORTH = 0.1
 """What counts: a share of the error that a release would give back, of what holds a task back, and
 of the largest error of a pose, in tolerances."""
+TURNED = 0.5
+"""Share of the error of a position that another orientation would give back, to be the reason."""
 STANDING = ("position", "freeze")
 """The limits of a joint that hold it where it is; those on its rate and its acceleration do not."""
 ROUNDING = 1e-9
@@ -109,7 +111,7 @@ class _Account:
 
     def reasons(self, off: list[tuple[float, str, float]]) -> list[Reason]:
         """Return the reasons for errors with their units and tolerances."""
-        name, alone = self._term.name, self._alone()
+        alone = self._alone()
         left = [(alone[unit], unit) for _, unit, _ in off]
         gained = [(error - alone[unit], unit) for error, unit, _ in off]
         found: list[Reason] = []
@@ -121,8 +123,26 @@ class _Account:
         if not found:
             left = [(error, unit) for error, unit, _ in off]
         if not found or any(e > each[2] for (e, _), each in zip(left, off, strict=True)):
-            found.append(Reason(name, f"out of reach by {_lengths(left)}", _nearer(left)))
+            found += self._out_of_reach(left)
         return found
+
+    def _out_of_reach(self, left: list[tuple[float, str]]) -> list[Reason]:
+        """Return that the target is too far, or that a position is had at another orientation."""
+        name, term = self._term.name, self._term
+        position = {unit: error for error, unit in left}.get("m", 0.0)
+        if position and "rad" in term.units:
+            whole, rows = self._weight, np.zeros(term.rows)
+            rows[term.unit_rows[term.units.index("m")]] = 1.0
+            self._weight = rows * whole if whole.ndim == 1 else rows * whole * rows[:, None]
+            alone = self._alone()["m"]
+            self._weight = whole
+            if position - alone > TURNED * position:
+                by = _lengths([(position - alone, "m")])
+                what = f"its orientation holds {name} back by {by}"
+                remedy = f"turn the target, or give the orientation of {name} no weight in its B"
+                near = [(alone, "m")] if alone > WORTH * position else []
+                return [Reason(name, what, remedy), *([_too_far(name, near)] if near else [])]
+        return [_too_far(name, left)]
 
     def _held(self, by: str) -> list[Reason]:
         """Return what holds the task back, the strongest first."""
@@ -302,6 +322,10 @@ def _lengths(values: list[tuple[float, str]]) -> str:
         f"{1e3 * value:.2g} mm" if unit == "m" and value < 0.1 else f"{value:.2g} {unit}"
         for value, unit in values
     )
+
+
+def _too_far(name: str, left: list[tuple[float, str]]) -> Reason:
+    return Reason(name, f"out of reach by {_lengths(left)}", _nearer(left))
 
 
 def _nearer(left: list[tuple[float, str]]) -> str:

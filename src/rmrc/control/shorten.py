@@ -1,6 +1,7 @@
 """The check of a command where it leads, and its shortening where a distance would be passed."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -40,15 +41,15 @@ LEAST_PART, CLOSE = 0.1, 0.01
 
 
 class _Path:
-    """The way of a step with v, and of those after it, the ith of which has |v| − i a dt left.
+    """The way of a step with v, and of those after it, in which the joints brake (see `braking`).
 
     Its places are counted in steps: 0 is the present configuration, 1 where v leads, and at `last`
     all joints rest.
     """
 
-    def __init__(self, v: Array, box: Box, dt: float):
+    def __init__(self, v: Array, box: Box, dt: float, q: Array | None = None):
         self._sign, self._speed, self.dt = np.sign(v), np.abs(v), dt
-        steps, change = braking(box, self._speed, dt)
+        steps, change = braking(box, v, dt, q, ahead=dt)
         self._count = np.floor(steps)
         self._change = np.where(change < math.inf, change, 0.0)  # no ∞ · 0
         self._half = 0.5 * self._change
@@ -189,11 +190,12 @@ class Shortening:
             blocks: The barriers that are near.
             dt: Length of the step, s.
         """
-        whole, rest = (_Path(command, self._box, dt) for command in (v, brake))
+        self._start[:] = data.qpos
+        whole, rest = (_Path(command, self._box, dt, self._start) for command in (v, brake))
         watched = self._watched(data, whole, blocks)
         if not watched:
             return 1.0, False
-        self._start[:], self._still = data.qpos, not self._twist.any()
+        self._still = not self._twist.any()
         self._steady = self._still and self._slows
         carry_on(self._data, data, self._twist, dt)
         look = self._worst(whole, watched)
@@ -209,7 +211,8 @@ class Shortening:
             high = self._guess(look, (v, brake), high, dt) * (1.0 - LEAST_PART * trial)
             if high == 0.0:
                 break
-            look = self._worst(_Path(brake + high * (v - brake), self._box, dt), watched)
+            command = brake + high * (v - brake)
+            look = self._worst(_Path(command, self._box, dt, self._start), watched)
             if look.least >= 0.0:
                 return high, False
         if not self._is_over():
@@ -227,12 +230,21 @@ class Shortening:
         """Return whether the time is over."""
         return self.deadline < math.inf and perf_counter() >= self.deadline
 
-    def end(self, data: mujoco.MjData, v: Array, dt: float) -> mujoco.MjData:
-        """Return the configuration that v (n,) leads to in a step of dt, for a while."""
+    def ends(
+        self, data: mujoco.MjData, v: Array, dt: float
+    ) -> Iterator[tuple[mujoco.MjData, float]]:
+        """Yield where v (n,) leads to in a step of dt, and where it comes to rest.
+
+        Each is there until the next is asked for; with it comes how long v takes to go there, s.
+        """
         self._start[:] = data.qpos
         carry_on(self._data, data, self._twist, dt)
-        self._place(v * dt)
-        return self._data
+        path = _Path(v, self._box, dt, self._start)
+        for place in (1, path.last)[: path.last]:
+            way = path.way(place)
+            self._place(way)
+            fastest = int(np.abs(v).argmax())
+            yield self._data, float(way[fastest] / v[fastest]) if v[fastest] else dt
 
     def _watched(self, data: mujoco.MjData, path: _Path, blocks: list[Block]) -> list[_Watched]:
         """Return the entries that a motion no longer than a path could carry below their limit."""
@@ -269,7 +281,7 @@ class Shortening:
         (v, brake), each, entry = ends, look.worst[0], np.array([look.worst[1]])
         low, room_low, room_high, share = 0.0, math.inf, look.least, 0.0
         for _ in range(GUESSES):
-            path = _Path(brake + share * (v - brake), self._box, dt)
+            path = _Path(brake + share * (v - brake), self._box, dt, self._start)
             self._place(path.way(look.place))
             room = float(each.measured(self._data, entry)[0])
             if room < 0.0:

@@ -4,7 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
+from rmrc.config.explain import explain as explain_mistakes
+from rmrc.config.mistakes import config_error
 from rmrc.config.models import Config
 from rmrc.control.aims import build_aims, build_obstacles
 from rmrc.control.controller import Controller
@@ -30,7 +33,11 @@ def why(run: Run, step: int | None = None) -> tuple[int, Explanation]:
     k = int(run.status.argmax()) if step is None else step
     if not 0 <= k < count:
         raise RmrcError(f"the run has the steps 0 to {count - 1}, and no step {k}")
-    config = Config.model_validate(run.manifest["config"]).rooted(Path(run.manifest["root"]))
+    try:
+        config = Config.model_validate(run.manifest["config"]).rooted(Path(run.manifest["root"]))
+    except ValidationError as error:
+        mistakes = config_error(explain_mistakes(Config, run.manifest["config"], error))
+        raise RmrcError(f"the run's configuration is none: {mistakes}") from None
     if config.method != "qp" or config.follow != "rate":
         raise RmrcError(
             "only steps of `method: qp` with `follow: rate` are solutions of a program; this run "
@@ -46,7 +53,10 @@ def why(run: Run, step: int | None = None) -> tuple[int, Explanation]:
         aim.set_on(controller)
     for obstacle in build_obstacles(problem):
         obstacle.move(now, controller)
-    recorded = Status[run.manifest["statuses"][run.status[k]]]
+    name = run.manifest["statuses"][run.status[k]]
+    if name not in Status.__members__:
+        raise RmrcError(f"the run's status {name!r} is none that this version knows")
+    recorded = Status[name]
     explanation = explain(controller.step(run.q[k]), recorded is Status.STUCK)
     if recorded in explanation.flags:
         return k, explanation

@@ -20,7 +20,7 @@ from rmrc.problem.configuration import (
     turning_dofs,
 )
 from rmrc.problem.limits.extents import resolution, size
-from rmrc.problem.limits.joints import compile_box, select
+from rmrc.problem.limits.joints import compile_box, per_joint, select
 from rmrc.problem.limits.rows import compile_barriers, compile_speeds
 from rmrc.problem.objects import (
     Objects,
@@ -32,7 +32,7 @@ from rmrc.problem.objects import (
 from rmrc.problem.problem import Problem
 from rmrc.problem.scene import scene_of
 from rmrc.problem.start import place_mocap_bodies, start_configuration
-from rmrc.problem.tasks.base import FieldError, Term, weight_array
+from rmrc.problem.tasks.base import BendingTerm, FieldError, Term, weight_array
 from rmrc.problem.tasks.freeze import FreezeTerm
 from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
 from rmrc.problem.tasks.loop import LoopTask, LoopTerm, equality_name, held_by_default
@@ -107,10 +107,12 @@ class _Compiler:
                 box.velocity[term.dofs] = 0.0
         terms = tuple(term.within(box.lower, box.upper) for term in terms)
         moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
+        self._refuse_unmoved(model, terms, set(moving.tolist()))
         barriers = compile_barriers(objects, config.limits, start, moving, mistakes, notices)
         if barriers:
             box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
         speeds = compile_speeds(config.limits, terms, mistakes)
+        lag = per_joint(objects, ("lag",), config.lag, 0.0, mistakes)
         self._try_solver()
         self._try_mink(mink_tasks, mink_limits, model, start)
         self._stop_on_mistakes()
@@ -137,6 +139,7 @@ class _Compiler:
             soft_ratio=1.0 if strict or config.method == "nullspace" else config.soft_ratio,
             strict=strict,
             box=select(box, dofs),
+            lag=lag,
             notices=(
                 *begins,
                 *scene.notices,
@@ -154,6 +157,26 @@ class _Compiler:
             mink_tasks=mink_tasks,
             mink_limits=mink_limits,
         )
+
+    def _refuse_unmoved(
+        self, model: mujoco.MjModel, terms: tuple[Term, ...], moving: set[int]
+    ) -> None:
+        """Note the tasks whose frame no joint moves: they could never do anything."""
+        index = {task.name: k for k, task in enumerate(self._config.tasks)}
+        for term in terms:
+            if not isinstance(term, BendingTerm) or moving.intersection(term.way(model).dofs):
+                continue
+            key = (
+                "frame"
+                if "frame" in type(self._config.tasks[index[term.name]]).model_fields
+                else None
+            )
+            place = ("tasks", index[term.name], *([key] if key else []))
+            among = "" if self._config.dofs is None else " of `dofs`"
+            message = (
+                f"no joint{among} moves this: name a frame that hangs on a joint that may move"
+            )
+            self._mistakes.append(Mistake(place, message))
 
     def _scene_at_start(self) -> tuple[Scene, Array, list[str]]:
         """Return the scene, the start configuration, without which nothing else is tried, and

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import mink
 import mujoco
@@ -54,6 +55,8 @@ class Problem:
     """Whether a level moves only in the null space of those above."""
     box: Box
     """The joint limits (n,)."""
+    lag: Array
+    """Time constants of the drives (nv,), s; 0 where commands are carried out at once."""
     notices: tuple[str, ...]
     """What a user should know: defaults at work, and what has no limit."""
     barriers: tuple[BarrierLimit, ...] = ()
@@ -70,6 +73,16 @@ class Problem:
     """Age of the measured configuration beyond which it is stale, s."""
     mink_tasks: tuple[BaseTask, ...] = ()
     mink_limits: tuple[mink.Limit, ...] = ()
+
+    def __post_init__(self):
+        # Engines have taken what they need of these: a change of them would be lost without a word.
+        for array in (self.start, self.dofs, self.metric, *vars(self.box).values()):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()  # pickled arrays come back writable
 
     @cached_property
     def term(self) -> Mapping[str, Term]:

@@ -16,7 +16,7 @@ from rmrc.qp.cascade import Level
 from rmrc.qp.curvature import Curvature
 from rmrc.qp.damping import Damping, largest_square
 from rmrc.qp.equalities import Equalities
-from rmrc.qp.foreign import checked
+from rmrc.qp.foreign import checked, parts, unpacked
 from rmrc.qp.program import QP
 from rmrc.qp.yielding import Yielding
 
@@ -276,12 +276,12 @@ class Assembly:
         residual = task.compute_qp_residual(configuration)
         if residual is None:
             objective = task.compute_qp_objective(configuration)
-            hessian = checked("H", objective.H, (nv, nv))
-            gradient = checked("c", objective.c, (nv,))
+            h, c = parts("objective", objective, ("H", "c"))
+            hessian, gradient = checked("H", h, (nv, nv)), checked("c", c, (nv,))
             qp.H += self.unit * hessian[np.ix_(dofs, dofs)]
             qp.g += self.unit * gradient[dofs] / dt
             return
-        jacobian, error, damping = residual
+        jacobian, error, damping = unpacked("residual", residual, 3)
         columns = checked("J", jacobian, (None, nv))[:, dofs]
         wanted, mu = checked("e", error, (len(columns),)), checked("damping", damping, ())
         qp.H += self.unit * columns.T @ columns

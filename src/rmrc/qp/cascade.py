@@ -21,8 +21,13 @@ Array = NDArray[np.float64]
 
 RANK = 1e-9
 """A singular value below this share of the largest of 1 and σ_max leaves its direction free."""
-FASTEST = 1e-10
-"""Weight of ‖v‖² beside (α − 1)²; α falls short of its maximum by at most its root times ‖v‖."""
+WORTH = 1e-6
+"""What ½‖v‖²/κ² weighs beside α, for the least ‖v‖ = κ that α = 1 takes. What gains more of α for
+its length is found exactly; a rush that gains less, as in the null space, is not worth it."""
+LOST = 0.02
+"""Share of ẋ that the free motion must be able to give, or there is no direction to preserve."""
+BRISK = 10.0
+"""Most that κ counts for there, rad/s or m/s: near a singularity it has no bound."""
 POLISHED = 1e-10
 """A residual above this is worth a polish: the levels' programs can be nearly singular."""
 ATTEMPTS = (
@@ -79,6 +84,9 @@ class Cascade:
         """α of the last solve, the least of all preserved directions."""
         self.optima: list[Array] = []
         """v_k (n,) of the levels that were solved, the highest first."""
+        self.directed: list[Array | None] = []
+        """v (n,) of each level once its directions were found, before its other tasks were; where
+        they were not found, v_k, and None where nothing was."""
         self.deadline = math.inf
         """When solving has to end, s, by `time.perf_counter`."""
 
@@ -99,17 +107,19 @@ class Cascade:
         entry = self._enter(state)
         if entry is not None and entry.status is not SolveStatus.SOLVED:
             answer.v, answer.status = state.v, _unsolved(entry, SolveStatus.INFEASIBLE)
-            self.optima = [state.v]
+            self.optima, self.directed = [state.v], []
             return answer
         kkt = [KKT(0.0, 0.0, 0.0) if entry is None else entry.kkt]
-        self.optima = []
+        self.optima, self.directed = [], []
         for level, stage in (
             (level, s) for level in levels for s in (self._fastest, self._nearest)
         ):
             if not state.count:
                 break
-            if stage == self._fastest and level is not levels[0]:
-                self.optima.append(state.v)
+            if stage == self._fastest:
+                self.directed.append(None)
+                if level is not levels[0]:
+                    self.optima.append(state.v)
             found = stage(level, state)
             if found is None:
                 continue
@@ -121,6 +131,8 @@ class Cascade:
             state.add_multipliers(solution, answer)
             kkt.append(solution.kkt)
             state.move(solution.v, reach)
+            if self.directed[-1] is None:  # else it was found by the stage before
+                self.directed[-1] = state.v
         answer.v = state.v
         self.optima.append(state.v)
         primal, dual, complementarity = map(max, zip(*kkt, strict=True))
@@ -163,39 +175,47 @@ class Cascade:
         return solve(), reach
 
     def _fastest(self, level: Level, state: "_State") -> tuple[Solution, Array] | None:
-        """Maximise α in J (v + N z) = α ẋ, 0 ≤ α ≤ 1; return J N, which fixes J v.
+        """Maximise α − ½ 10⁻⁶ ‖v + N z‖²/κ² in J (v + N z) = α ẋ, 0 ≤ α ≤ 1; return J N.
 
-        Only the part of ẋ that the free motion can give is asked for: at a singularity the rest is
-        lost. Where even α = 0 is outside the limits, as for a joint on its way back into its range,
-        the level's least squares takes over.
+        J N fixes J v. κ is the length of the least N z for α = 1: α is at its maximum where a
+        motion gains more of it than that costs, and v is continuous where it gains less. Only the
+        part of ẋ that the free motion can give is asked for: at a singularity the rest is lost;
+        along ẋ = 0 nothing moves. Where even α = 0 is outside the limits, as for a joint on its
+        way back into its range, the level's least squares takes over.
         """
         if level.direction is None:
             return None
         jacobian, rate = level.direction
         reach = state.reduced(jacobian.T).T
         left, sigma, _ = np.linalg.svd(reach, full_matrices=False)
-        left = left[:, sigma > RANK * max(1.0, float(sigma[0]))]
-        wanted = left.T @ rate
-        if not wanted.any():
+        kept = sigma > RANK * max(1.0, float(sigma[0]))
+        left = left[:, kept]
+        if not left.size or np.linalg.norm(left.T @ rate) < LOST * np.linalg.norm(rate):
             return None
+        left = left / sigma[kept]
+        wanted = left.T @ rate
+        least = float(np.linalg.norm(wanted))  # κ
         qp, solve = self._program(state.count + 1, state.rows, left.shape[1])
-        alpha = state.count
-        qp.H[:] = FASTEST * np.eye(alpha + 1)
-        qp.H[alpha, alpha] = 1.0
-        qp.g[:alpha], qp.g[alpha] = FASTEST * state.reduced(state.v), -1.0
+        # t = κ α, so that all variables are rates; there is no way along ẋ = 0.
+        along = state.count
+        np.fill_diagonal(qp.H, 1.0)
+        qp.g[:along], qp.g[along] = state.reduced(state.v), -min(least, BRISK) / WORTH
         state.bound(qp)
-        qp.lb[alpha], qp.ub[alpha] = 0.0, 1.0
-        qp.E[:, :alpha], qp.E[:, alpha] = left.T @ reach, -wanted
+        qp.lb[along], qp.ub[along] = 0.0, least
+        qp.E[:, :along], qp.E[:, along] = left.T @ reach, -wanted / least if least else 0.0
         qp.f[:] = -left.T @ (jacobian @ state.v)
         solution = solve()
         if solution.status is SolveStatus.INFEASIBLE:
             return None
-        if solution.status is SolveStatus.SOLVED:
-            self.scale = min(self.scale, float(solution.v[alpha]))
-        solution.v, solution.bound_multiplier = (
-            solution.v[:alpha],
-            solution.bound_multiplier[:alpha],
-        )
+        if solution.status is SolveStatus.SOLVED and least:
+            self.scale = min(self.scale, float(solution.v[along]) / least)
+        # In the unit of α, as that of a cost whose largest weight is 1.
+        share = min(1.0, WORTH / (least * min(least, BRISK))) if least else 1.0
+        solution.v = solution.v[:along]
+        solution.bound_multiplier = share * solution.bound_multiplier[:along]
+        solution.row_multiplier = share * solution.row_multiplier
+        primal, dual, complementarity = solution.kkt
+        solution.kkt = KKT(primal, share * dual, share * complementarity)
         return solution, reach
 
     def _program(

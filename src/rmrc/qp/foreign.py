@@ -31,3 +31,28 @@ def checked(
     if not sound.all():
         raise ValueError(f"its {name} is not finite")
     return array
+
+
+def parts(name: str, answer: object, fields: tuple[str, ...]) -> tuple[object, ...]:
+    """Return what an answer has by these names.
+
+    Raises:
+        TypeError: If it has not all of them.
+    """
+    missing = [field for field in fields if not hasattr(answer, field)]
+    if missing:
+        kind = "None" if answer is None else f"a {type(answer).__name__}"
+        raise TypeError(f"its {name} is {kind}, and has no {missing[0]}")
+    return tuple(getattr(answer, field) for field in fields)
+
+
+def unpacked(name: str, answer: object, count: int) -> tuple[object, ...]:
+    """Return the parts of a tuple of so many.
+
+    Raises:
+        TypeError: If it is none.
+    """
+    if not isinstance(answer, tuple) or len(answer) != count:
+        kind = f"{len(answer)} parts" if isinstance(answer, tuple) else f"a {type(answer).__name__}"
+        raise TypeError(f"its {name} is {kind}, and not a tuple of {count}")
+    return answer

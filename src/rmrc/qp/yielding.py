@@ -22,6 +22,8 @@ WEAK = 0.02
 """Share of ‖J‖ ‖v‖ that a motion for ẋ must give: less is a singularity, where it swings."""
 RESOLVED = 1e-12
 """Share of the largest element of W Wᵀ that rounding leaves its least eigenvalue."""
+SLIGHT = 1e-12
+"""A shorter v is rounding, rad/s or m/s."""
 AT_BOUND = 1e-7
 """A rate this close to its bound is at it, rad/s or m/s."""
 
@@ -93,17 +95,18 @@ class Yielding:
         faster = float((np.abs(v[moves]) / self._fastest[moves]).max(initial=1.0))
         return self._curvature.passes(self.bending, v / faster, self._rate, self.dt)
 
-    def turns_back(self, optima: list[Array]) -> bool:
-        """Return whether V may rise for what preserves its direction, at v_k (n,) of each level.
+    def turns_back(self, directed: Sequence[Array | None]) -> bool:
+        """Return whether V may rise for what preserves its direction, at the v (n,) that it takes.
 
+        That is v of each level without what its other tasks add, which says nothing of a direction.
         Nor is a direction kept near a singularity, where its joints rush and it hardly moves.
         """
         if not self.still:
             return False
         first = 1 if self.softened else 0
-        for terms, v in zip(self._levels, optima[first:], strict=False):
+        for terms, v in zip(self._levels, directed[first:], strict=False):
             preserved = [t for t in terms if t.preserve and t in self._curvature.exact]
-            if not preserved:
+            if not preserved or v is None or float(np.linalg.norm(v)) < SLIGHT:
                 continue
             if self._curvature.passes(preserved, v, self._rate, self.dt):
                 return True

@@ -75,7 +75,11 @@ class FolderKind:
         target = Path(directory).resolve()
         self.ensure_free(directory, overwrite=overwrite)
         with self._written_beside(target, write) as written:
-            _move(written, target)
+            taken = _take(target, written)
+            while not taken:
+                # Something is there to be replaced, or has come there since by another process.
+                self.ensure_free(directory, overwrite=overwrite)
+                taken = _replace(target, written)
         return Path(directory)
 
     def save_numbered(self, parent: str | Path, name: str, write: Write) -> Path:
@@ -90,13 +94,7 @@ class FolderKind:
         with self._written_beside(Path(parent).resolve() / name, write) as written:
             for number in count(_last_number(written.parent, name) + 1):
                 target = Path(parent) / f"{name}-{number:04d}"
-                try:
-                    # A folder that another process has put there makes the renaming fail.
-                    written.rename(target)
-                except OSError:
-                    if not target.exists():
-                        raise
-                else:
+                if _take(target, written):
                     return target
         raise AssertionError("unreachable")
 
@@ -119,8 +117,13 @@ class FolderKind:
 
 def write_json(path: Path, value: Any) -> None:
     """Write a value, plain already, as strict JSON."""
-    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(json_text(value, indent=2) + "\n", encoding="utf-8")
+
+
+def json_text(value: Any, indent: int | None = None) -> str:
+    """Return a value, plain already, as strict JSON that is safe to print."""
+    text = json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False)
+    return "".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text)
 
 
 def plain(value: Any) -> Any:
@@ -136,19 +139,36 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _move(written: Path, target: Path) -> None:
-    """Move a folder to its place; a folder that is there is put aside first, then removed."""
-    if not target.exists():
-        written.rename(target)
-        return
-    aside = written.with_name(f"{written.name}-old")
-    target.rename(aside)
+def _take(target: Path, written: Path) -> bool:
+    """Give a whole folder its name; return False where another one has it.
+
+    The renaming decides between processes: it fails where anything but an empty folder is there.
+    """
     try:
+        if os.name == "nt" and _is_empty(target):
+            target.rmdir()  # Windows renames onto nothing at all.
         written.rename(target)
+    except OSError:
+        if not os.path.lexists(target):
+            raise
+        return False
+    return True
+
+
+def _replace(target: Path, written: Path) -> bool:
+    """Put a folder aside and take its name; return False where another process has been faster."""
+    aside = written.with_name(f"{written.name}-old")
+    try:
+        target.rename(aside)
+    except FileNotFoundError:
+        return _take(target, written)
+    try:
+        taken = _take(target, written)
     except BaseException:
         aside.rename(target)
         raise
     shutil.rmtree(aside, ignore_errors=True)
+    return taken
 
 
 def _flush(path: Path) -> None:

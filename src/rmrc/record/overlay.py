@@ -1,7 +1,6 @@
 """The page of a comparison: its table, and the curves of all runs over one another."""
 
 from collections.abc import Callable, Iterator, Sequence
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from rmrc.config.models import Method
 from rmrc.record.channels import positions
-from rmrc.record.page import badge, card, cell, quantity, write_page
+from rmrc.record.page import badge, card, cell, escape, quantity, write_page
 from rmrc.record.plots import SINGULAR_VALUE, line_panel, mark, page_data
 
 if TYPE_CHECKING:

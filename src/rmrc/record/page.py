@@ -2,8 +2,8 @@
 
 import io
 import json
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape as escape_html
 from importlib.resources import files
 from math import floor, log10
 from pathlib import Path
@@ -11,6 +11,8 @@ from string import Template
 from typing import Any
 
 from ruamel.yaml import YAML
+
+from rmrc.errors import printable, printable_lines
 
 _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: ""}
 
@@ -49,10 +51,10 @@ def write_page(
         cards="".join(cards),
         notices="".join(f"<li>{escape(notice)}</li>" for notice in notices),
         hint=escape(hint),
-        config=escape(_yaml(manifest["config"])),
+        config=escape_html(printable_lines(_yaml(manifest["config"]))),
         versions=_versions(manifest),
         # A name with </script> in it must not end the element.
-        data=json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
+        data=json.dumps(_shown(data), allow_nan=False).replace("<", "\\u003c"),
         plotly=get_plotlyjs().replace("</script", "<\\/script"),
         script=_asset("page.js"),
     )
@@ -97,6 +99,20 @@ def cell(text: str, note: str = "", bad: bool = False) -> str:
     small = f" <small>{escape(note)}</small>" if note else ""
     kind = ' class="bad"' if bad else ""
     return f"<td{kind}>{escape(text)}{small}</td>"
+
+
+def escape(text: str) -> str:
+    """Return text as HTML shows it, with characters that a browser would obey written out."""
+    return escape_html(printable(text))
+
+
+def _shown(value: Any) -> Any:
+    """Return what the plots draw with every text in it as it is to be seen."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, Mapping):
+        return {_shown(key): _shown(item) for key, item in value.items()}
+    return [_shown(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def _asset(name: str) -> str:

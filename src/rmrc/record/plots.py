@@ -196,9 +196,9 @@ def _margin_unit(kind: str, config: Mapping[str, Any]) -> str:
     """Return the unit of a kind of limit; frames may be limited in two."""
     if kind != "speed":
         return "rad" if kind == "position" else "m"
-    limits = config["limits"]["speed"].values()
+    limits = config.get("limits", {}).get("speed", {}).values()
     units = {"linear": "m/s", "angular": "rad/s"}
-    return " or ".join(units[part] for part in units if any(limit[part] for limit in limits))
+    return " or ".join(units[part] for part in units if any(limit.get(part) for limit in limits))
 
 
 def _joint_panel(

@@ -175,7 +175,7 @@ def _draw(
 def _paths(model: mujoco.MjModel, data: mujoco.MjData, run: Run) -> list[Array]:
     """Return the path (n, 3) of each frame that a task of type `frame` moves."""
     frames = [
-        resolve(model, Frame(**task["frame"]))
+        resolve(model, Frame(**task.get("frame", {})))
         for task in run.manifest["config"]["tasks"]
         if task["type"] == "frame"
     ]

@@ -1,10 +1,9 @@
 """The report of a run: its summary, and its errors, joints and statuses over time."""
 
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rmrc.record.page import badge, card, cell, quantity, write_page
+from rmrc.record.page import badge, card, cell, escape, quantity, write_page
 from rmrc.record.plots import panels, status_colour, step_length
 
 if TYPE_CHECKING:
@@ -64,6 +63,9 @@ def _limits(run: "Run") -> str:
         none = "off" if wanted.get(kind) in ("off", [], {}) else "none"
         passed = quantity(excess, limit["unit"]) if excess else none
         rows.append([cell(kind, limit["joint"] or ""), cell(passed, bad=bool(excess))])
+        if started := limit.get("started_outside"):
+            by = quantity(started["max_violation"], started["unit"])
+            rows.append([cell("started outside by", started["joint"]), cell(by)])
     return card("Limits", ("limit", "violation"), rows)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from rmrc.errors import RmrcError
 from rmrc.record.folder import FolderKind, plain, write_json
+from rmrc.record.form import check_manifest
 from rmrc.record.report import write_report
 
 Array = NDArray[np.float64]
@@ -37,6 +38,7 @@ _ARRAYS: dict[str, tuple[DTypeLike, str | None]] = {
     "mocap": (np.float64, "mocap"),
 }
 _OPTIONAL = ("q_commanded", "mocap")
+_FINITE = ("time", "q", "v", "step_time", "mocap")
 _MANIFEST_KEYS = ("name", "config", "root", "versions", "statuses", "model", "tasks", "summary")
 
 
@@ -52,7 +54,8 @@ class Run:
     `interrupted`. What is not finite in it becomes null.
 
     Raises:
-        RmrcError: If a key of the manifest is missing or an array does not fit it.
+        RmrcError: If a key of the manifest is missing, or an array does not fit it, is not finite
+            where it must be, or is a time that does not rise.
     """
 
     time: Array
@@ -95,7 +98,12 @@ class Run:
                 continue
             width = () if dimension is None else (int(manifest["model"].get(dimension, 0)),)
             array = _fitting(name, getattr(self, name), dtype, (rows, *width))
+            if name in _FINITE and not np.isfinite(array).all():
+                row = int(np.argwhere(~np.isfinite(array))[0][0])
+                raise RmrcError(f"array '{name}' is not finite in row {row}")
             object.__setattr__(self, name, array)
+        if (late := np.flatnonzero(np.diff(self.time) <= 0.0)).size:
+            raise RmrcError(f"array 'time' does not rise after row {late[0]}")
         errors = {}
         for name, task in manifest["tasks"].items():
             if name not in self.error:
@@ -108,6 +116,10 @@ class Run:
             for kind, values in self.margin.items()
         }
         object.__setattr__(self, "margin", margins)
+        if manifest["summary"].get("steps", rows) != rows:
+            raise RmrcError(
+                f"there are {rows} rows, and summary.steps is {manifest['summary']['steps']}"
+            )
         if rows and self.status.max() >= len(manifest["statuses"]):
             raise RmrcError(f"array 'status' has the value {self.status.max()}, which has no name")
 
@@ -169,8 +181,6 @@ class Run:
             return cls(**present, error=error, margin=margin, manifest=manifest)
         except RmrcError as mistake:
             raise RmrcError(f"'{directory}' is damaged: {mistake}") from None
-        except (AttributeError, KeyError, TypeError, ValueError) as mistake:
-            raise RmrcError(f"'{directory / MANIFEST}' is damaged: {mistake!r}") from None
 
     def _writer(self, report: bool) -> Callable[[Path], None]:
         """Return what writes the files of the run folder."""
@@ -216,6 +226,10 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         raise RmrcError(
             f"'{path}' has format {manifest['format']!r}, and this version reads format {FORMAT}"
         )
+    try:
+        check_manifest(manifest)
+    except RmrcError as mistake:
+        raise RmrcError(f"'{path}' is damaged: {mistake}") from None
     return manifest
 
 

@@ -1,6 +1,8 @@
 """A run in numbers: what `--json` prints and the manifest keeps."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,8 @@ from rmrc.record.channels import Channel, positions, rates
 
 Array = NDArray[np.float64]
 
+# A run has converged whose errors are within tolerance for so long, s, and so many steps.
+SETTLED, SETTLED_STEPS = 0.1, 10
 # Less than this outside a limit (rad, m, and their rates) is rounding, not a violation.
 ROUNDING = 1e-9
 
@@ -48,14 +52,15 @@ def summarize(
         engine: Name of the engine.
         backend: Name of the QP backend.
         method: Name of the method.
-        tolerance: Largest error at the end that counts as converged, by unit.
+        tolerance: Largest error in the last 0.1 s, and 10 steps, that counts as converged, by unit.
         converging: The tasks that must converge, and which columns of their errors.
         least: The least room of each kind of limit on distances and speeds, its unit, and what it
             is of.
         resolution: How finely distances are kept, m.
     """
+    last = slice(-max(SETTLED_STEPS, math.ceil(SETTLED / dt - ROUNDING)), None)
     converged = len(q) > 0 and all(
-        bool(error[name][-1, column] <= tolerance[tasks[name]["units"][column]])
+        bool((error[name][last, column] <= tolerance[tasks[name]["units"][column]]).all())
         for name, columns in converging.items()
         for column in columns
     )
@@ -106,7 +111,7 @@ def _limits(
     acceleration = np.diff(v, axis=0, prepend=rest) / dt
     jerk = np.diff(acceleration, axis=0, prepend=rest) / dt
     return {
-        "position": _violation(positions(model, q)),
+        "position": _position(positions(model, q)),
         "velocity": _violation(rates(model, v, "velocity")),
         "acceleration": _violation(rates(model, acceleration, "acceleration")),
         "jerk": _violation(rates(model, jerk, "jerk"), ROUNDING / dt),
@@ -115,6 +120,25 @@ def _limits(
             for kind in ("collision", "workspace", "speed")
         },
     }
+
+
+def _position(channels: Sequence[Channel]) -> dict[str, Any]:
+    """Return the largest excess over the ranges, and how far a joint was outside at the start.
+
+    Where it starts is not rmrc's doing: until it has come back it may be as far outside as then,
+    but at the end it counts.
+    """
+    started = _violation([replace(c, values=c.values[:1]) for c in channels])
+    after = _violation([replace(c, values=c.values[_counting(c.excess)]) for c in channels])
+    return after | {"started_outside": started if started["max_violation"] else None}
+
+
+def _counting(excess: Array) -> NDArray[np.bool_]:
+    """Return the rows (N,) whose excess (N,) is a violation, where there is any."""
+    back = np.cumsum(excess <= ROUNDING) > 0
+    counting = back | (excess > excess[:1] + ROUNDING)
+    counting[-1:] = True
+    return counting
 
 
 def _violation(channels: Sequence[Channel], rounding: float = ROUNDING) -> dict[str, Any]:

@@ -55,15 +55,17 @@ def dls(
     arguments.choice("form", form, FORMS)
     arguments.choice("factorization", factorization, FACTORIZATIONS)
     dual = form == "dual"
+    k = linear.power(J, damping)
+    J, scaled = np.ldexp(J, -k), float(np.ldexp(damping, -k))
     match factorization:
         case "svd":
-            v = _by_singular_values(J, xdot, damping)
+            v = _by_singular_values(J, xdot, scaled)
         case "qr":
-            v = _by_qr(J, xdot, damping, dual)
+            v = _by_qr(J, xdot, scaled, dual)
         case _:
             solve = linear.solve_cholesky if factorization == "cholesky" else linear.solve_lu
             H = J @ J.T if dual else J.T @ J
-            H.flat[:: len(H) + 1] += damping * damping
+            H.flat[:: len(H) + 1] += scaled * scaled
             v = solve(H, xdot if dual else J.T @ xdot)
             if dual and v is not None:
                 v = J.T @ v
@@ -72,7 +74,7 @@ def dls(
             f"damping = {damping:.3g} is too small for this J: "
             f"{'JJᵀ' if dual else 'JᵀJ'} + λ²I is singular to working precision"
         )
-    return v
+    return np.ldexp(v, -k)
 
 
 def _by_qr(J: Array, xdot: Array, damping: float, dual: bool) -> Array | None:
@@ -128,16 +130,19 @@ def weighted_dls(
     A = arguments.semidefinite("A", A, J.shape[1])
     B = arguments.semidefinite("B", B, len(J))
     damping = arguments.nonnegative("damping", damping)
+    j, b, a, d = linear.power(J), linear.power(B), linear.power(A), linear.power(damping)
+    J, B, A, damping = np.ldexp(J, -j), np.ldexp(B, -b), np.ldexp(A, -a), np.ldexp(damping, -d)
+    h = max(2 * j + b, a, 2 * d)
     weighted = J.T @ B
-    H = weighted @ J
-    H += A
-    H.flat[:: len(H) + 1] += damping * damping
+    H = np.ldexp(weighted @ J, 2 * j + b - h)
+    H += np.ldexp(A, a - h)
+    H.flat[:: len(H) + 1] += np.ldexp(damping * damping, 2 * d - h)
     v = linear.solve_lu(H, weighted @ xdot)
     if v is None:
         raise ValueError(
             "A, B, damping: JᵀBJ + A + λ²I is singular to working precision; raise A or the damping"
         )
-    return v
+    return np.ldexp(v, j + b - h)
 
 
 def step_bound(xdot: ArrayLike, damping: float) -> float:

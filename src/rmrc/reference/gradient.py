@@ -108,8 +108,12 @@ def _line_search(
 ) -> tuple[Array, Array] | None:
     """Return a configuration of less error, and that error; None where no step along Jᵀe helps."""
     direction = J.T @ error
+    slope = sqrt(direction.dot(direction))
+    if not slope:
+        return None
+    direction /= slope
     moved = J @ direction
-    curvature, slope = moved.dot(moved), direction.dot(direction)
+    curvature = moved.dot(moved)
     squared = error.dot(error)
     step = slope / curvature if curvature else 0.0
     # Below ε‖e‖² a decrease is rounding.

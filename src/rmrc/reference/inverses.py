@@ -1,5 +1,6 @@
 """Undamped resolved rates: inverse, transpose, pseudo-inverse and the weighted least norm."""
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -62,12 +63,17 @@ def transpose(J: ArrayLike, xdot: ArrayLike, gain: float | None = None) -> Array
     pseudoinverse and damped least squares methods, 2004.
     """
     J, xdot = arguments.task(J, xdot)
+    if gain is not None:
+        return arguments.nonnegative("gain", gain) * (J.T @ xdot)
+    k, of_rate = linear.power(J), linear.power(xdot)
+    J, xdot = np.ldexp(J, -k), np.ldexp(xdot, -of_rate)
     direction = J.T @ xdot
-    if gain is None:
-        moved = J @ direction
-        squared = moved.dot(moved)
-        gain = float(direction.dot(direction) / squared) if squared else 0.0
-    return arguments.nonnegative("gain", gain) * direction
+    length = math.sqrt(direction.dot(direction))
+    if not length:
+        return direction
+    direction /= length
+    moved = J @ direction
+    return np.ldexp(length / moved.dot(moved) * direction, of_rate - k)
 
 
 def pinv(
@@ -104,18 +110,22 @@ def pinv(
     if form == "general":
         U, sigma, V = linear.singular_values(J, tolerance)
         return V @ ((U.T @ xdot) / sigma)
+    k = linear.power(J)
+    J = np.ldexp(J, -k)
     multiplier = linear.solve_lu(J @ J.T, xdot)
     if multiplier is None:
         raise ValueError(
             "J: JJᵀ is singular, the right pseudo-inverse needs full row rank: see form='general'"
         )
-    return J.T @ multiplier
+    return np.ldexp(J.T @ multiplier, -k)
 
 
 def weighted(J: ArrayLike, xdot: ArrayLike, A: ArrayLike) -> Array:
     """Return the joint velocity of least ½vᵀAv among those that hold the task exactly.
 
-        v = A⁻¹Jᵀ(JA⁻¹Jᵀ)⁻¹ẋ
+        v = A⁻¹Jᵀ(JA⁻¹Jᵀ)⁻¹ẋ = L⁻ᵀQR⁻ᵀẋ    with A = LLᵀ and L⁻¹Jᵀ = QR
+
+    The factorization of the weighted Jacobian does not square its condition number.
 
     Args:
         J: Jacobian (m, n) of full row rank, rows in m/rad or rad/rad.
@@ -134,14 +144,16 @@ def weighted(J: ArrayLike, xdot: ArrayLike, A: ArrayLike) -> Array:
     """
     J, xdot = arguments.task(J, xdot)
     A = arguments.symmetric("A", A, J.shape[1])
-    root = linear.invert_factor(A)  # A⁻¹ = rootᵀ root
+    k = linear.power(J)
+    J, A = np.ldexp(J, -k), np.ldexp(A, -linear.power(A))
+    root = linear.invert_factor(A)  # L⁻¹
     if root is None:
         raise ValueError("A is not positive definite: see weighted_dls for a semi-definite metric")
-    scaled = root @ J.T
-    multiplier = linear.solve_lu(scaled.T @ scaled, xdot)
-    if multiplier is None:
+    Q, R = np.linalg.qr(root @ J.T)
+    inverse = linear.invert(R)
+    if inverse is None:
         raise ValueError("J: JA⁻¹Jᵀ is singular, J lacks full row rank: see weighted_dls")
-    return root.T @ (scaled @ multiplier)
+    return np.ldexp(root.T @ (Q @ (inverse.T @ xdot)), -k)
 
 
 def task_metric(J: ArrayLike, B: ArrayLike, damping: float = 0.0) -> Array:

@@ -11,6 +11,20 @@ EPSILON = float(np.finfo(np.float64).eps)
 CONDITION = 0.01 / EPSILON
 
 
+# Powers of 2 within which a number has an inverse.
+_LARGEST_POWER = 1000
+
+
+def power(*values: Array | float) -> int:
+    """Return the k for which the largest element is between 2ᵏ⁻¹ and 2ᵏ; that of zeros is small.
+
+    What is divided by 2ᵏ keeps its digits, and has squares that neither overflow nor vanish.
+    """
+    largest = max(float(np.abs(value).max()) for value in values)
+    k = int(np.frexp(largest)[1]) if largest > 0.0 else -_LARGEST_POWER
+    return min(max(k, -_LARGEST_POWER), _LARGEST_POWER)
+
+
 def invert(matrix: Array) -> Array | None:
     """Return the inverse by LU; None if the matrix is singular to working precision.
 

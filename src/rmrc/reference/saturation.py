@@ -10,8 +10,13 @@ from rmrc.reference.arguments import Array
 
 # What passes a limit by less than this share of v is inside; so is a task slowed by less.
 ROUNDING = 1e-12
+# A joint this near to its limit, as a share of the larger of 1 and v, is at it.
+NEAR = 1e-9
 # A joint whose column of the remaining null space is shorter than this is held by the task.
 HELD = 1e-9
+# What ½‖v_N‖²/‖J⁺ẋ‖² weighs beside s, for the part v_N of v in the null space. What gains more of s
+# is found exactly; a motion that gains less for its length is not worth it.
+WORTH = 1e-6
 
 
 class Saturation(NamedTuple):
@@ -33,6 +38,10 @@ def saturated(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike)
     """Return the least-norm joint velocity inside the limits, the task slowed as little as needed.
 
         min ½‖v‖²  subject to  Jv = sẋ,  lower ≤ v ≤ upper,  with the largest s ≤ 1 that admits one
+
+    Where joints would have to rush in the null space to gain next to nothing of s, as where they
+    have a part of 1e-9 in it, s is what s − ½ 10⁻⁶ ‖v_N‖²/‖J⁺ẋ‖² is largest for, with the part v_N
+    of v in the null space; so v is continuous in J.
 
     It starts from v = sJ⁺ẋ, saturates the joint that passes its limit the furthest, lets the
     others make up for it in the null space, v = sJ⁺ẋ + N[:, W]μ for the saturated joints W, and
@@ -73,12 +82,34 @@ def saturate(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike) 
     free = V @ ((U.T @ xdot) / sigma)
     if (lower <= free).all() and (free <= upper).all():
         return Saturation(free, 1.0, np.zeros(free.size))
-    working = _WorkingSet(np.linalg.qr(V, mode="complete").Q[:, V.shape[1] :])
-    scale, stop = 1.0, np.zeros(free.size)  # ∂s/∂limit
+    k = linear.power(free)
+    free, lower, upper = (np.ldexp(values, -k) for values in (free, lower, upper))
+    null = np.linalg.qr(V, mode="complete").Q[:, V.shape[1] :]
+    v, scale, multiplier, stop = _slowed(null, free, lower, upper)
+    # What more of s is worth beyond what it costs; ∂s/∂limit takes it to the limits that decide s.
+    gains = free.dot(free) / WORTH - (v + multiplier) @ free
+    priced = multiplier + stop * gains
+    # Positive at an upper limit, negative at a lower one, and zero between them.
+    near = NEAR * np.maximum(1.0, np.abs(v))
+    least = np.where(v >= upper - near, np.minimum(priced, 0.0), priced)
+    wrong = np.abs(np.where(v <= lower + near, np.maximum(least, 0.0), least))
+    limit = ROUNDING * max(1.0, float(np.abs(priced).max()))
+    if wrong.max() > limit or (not stop.any() and gains < 0.0):
+        v, scale, stop = _worthwhile(null, free, lower, upper)
+        multiplier = np.zeros(free.size)
+    return Saturation(np.ldexp(v, k), scale, np.ldexp(multiplier, k) + np.ldexp(stop, -k))
+
+
+def _slowed(
+    null: Array, free: Array, lower: Array, upper: Array
+) -> tuple[Array, float, Array, Array]:
+    """Return the least v (n,) for the largest s, s, the multipliers of ½‖v‖² and ∂s/∂limit."""
+    working = _WorkingSet(null)
+    scale, stop = 1.0, np.zeros(free.size)
     while True:
         v, normal = _nearest(working, scale * free, lower, upper)
         if normal is None:
-            return Saturation(v, scale, stop + working.multiplier())
+            return v, scale, working.multiplier(), stop
         # No motion of the null space changes normalᵀv = s · normalᵀJ⁺ẋ; the box ends at `edge`.
         held = normal != 0.0
         edge = normal[held] @ np.where(normal > 0.0, upper, lower)[held]
@@ -87,8 +118,27 @@ def saturate(J: ArrayLike, xdot: ArrayLike, lower: ArrayLike, upper: ArrayLike) 
             raise ValueError("lower, upper: no v inside them has J v = s xdot with 0 ≤ s ≤ 1")
         stop = normal / speed
         if edge >= (1.0 - ROUNDING) * scale * speed:
-            return Saturation(v, scale, stop + working.multiplier())
+            return v, scale, working.multiplier(), stop
         scale = float(edge / speed)
+
+
+def _worthwhile(null: Array, free: Array, lower: Array, upper: Array) -> tuple[Array, float, Array]:
+    """Return v (n,) and s for which ½‖v_N‖² − ‖J⁺ẋ‖² s/10⁻⁶ is least, and what limits are worth.
+
+    With t = s ‖J⁺ẋ‖ as one more joint it is the point of a box nearest to (J⁺ẋ/‖J⁺ẋ‖, 1) T, along
+    that direction and the null space.
+    """
+    n, speed = free.size, float(np.sqrt(free.dot(free)))
+    far = speed / (2.0 * WORTH)
+    along = np.append(free / speed, 1.0)
+    basis = np.zeros((n + 1, null.shape[1] + 1))
+    basis[:, 0], basis[:n, 1:] = along / np.sqrt(2.0), null
+    working = _WorkingSet(basis)
+    v, normal = _nearest(working, far * along, np.append(lower, 0.0), np.append(upper, speed))
+    if normal is not None:
+        raise ValueError("lower, upper: no v inside them has J v = s xdot with 0 ≤ s ≤ 1")
+    worth = working.multiplier()[:n] * WORTH / speed**2
+    return v[:n], float(v[n] / speed), worth
 
 
 def bounded_dls(
@@ -126,7 +176,13 @@ def bounded_dls(
         raise ValueError(f"damping = {damping:.3g} is too small for this J: at least {least:.3g}")
     none = np.full(rows, np.inf)
     slack = np.hstack((J, damping * np.eye(rows)))
-    return saturated(slack, xdot, np.append(lower, -none), np.append(upper, none))[:columns]
+    U, sigma, V = linear.singular_values(slack, None)
+    free = V @ ((U.T @ xdot) / sigma)
+    k = linear.power(free)
+    ends = np.append(lower, -none), np.append(upper, none)
+    null = np.linalg.qr(V, mode="complete").Q[:, V.shape[1] :]
+    v = _slowed(null, *(np.ldexp(values, -k) for values in (free, *ends)))[0]
+    return np.ldexp(v, k)[:columns]
 
 
 def _nearest(

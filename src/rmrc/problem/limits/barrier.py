@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import mujoco
 import numpy as np
@@ -54,6 +54,8 @@ class Barrier(ABC):
     """How many entries it has."""
     gain: float
     """Share of h that a step may use, in (0, 1]."""
+    most_kept: int = 0
+    """How many functions `kept` can give."""
     push: float
     """Largest speed of the way back, in units a second."""
 
@@ -66,6 +68,22 @@ class Barrier(ABC):
             travel: The most that each dof can move in the step (nv,), rad or m.
             dt: Length of the step, s.
         """
+
+    def kept(self, data: mujoco.MjData) -> Near | None:
+        """Return further functions that bound h from above, after `near` at the same kinematics.
+
+        Of an entry that is near they are rows as it is, and no more than it asks for.
+        """
+        return None
+
+    @property
+    def memory(self) -> tuple[NDArray[Any], ...]:
+        """What a step leaves to the next."""
+        return ()
+
+    def forget(self) -> None:
+        """Forget what such functions are of."""
+        return
 
     @abstractmethod
     def distances(self, data: mujoco.MjData, ids: NDArray[np.intp]) -> Array:

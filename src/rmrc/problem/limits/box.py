@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 # A joint this little outside its range is on it: rounding, not a violation. rad or m.
 RANGE_ROUNDING = 1e-9
+# Steps to rest, in place of none.
+TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,24 +35,54 @@ class Box:
     """j_max, rad/s³ or m/s³."""
     step: Array
     """Most that a joint moves in a step, rad or m, whatever its other limits are."""
-    balls: NDArray[np.intp]
-    """The first of the three entries of each ball joint."""
 
 
-def braking(box: Box, speed: Array, dt: float) -> tuple[Array, Array]:
-    """Return the steps of dt that |v| (n,) takes to rest, and by how much it falls in each.
+def braking(
+    box: Box, v: Array, dt: float, q: Array | None = None, *, ahead: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the steps of dt that v (n,) takes to rest, and by how much |v| falls in each.
 
-    Each joint brakes at its a_max; a ball joint in proportion to its rates, no faster than the one
-    of them that takes longest, so that it goes on about the axis that it turns about.
+    All joints brake in the proportions of v, so that the robot stays on the line that it moves on
+    and nears nothing that it moves along; the joint that takes longest brakes at its a_max. A joint
+    whose range ends before brakes as hard as it must, by v²/(2 r + v dt) with the way r that is
+    left then, which is the same at every later step.
+
+    Args:
+        box: The limits.
+        v: The velocity (n,).
+        dt: Length of a step, s.
+        q: Where the joints are (nq,), or else none has a range.
+        ahead: How long they still go on with v from there before they brake, s.
     """
-    change = box.acceleration * dt
-    steps = speed / change
-    for first in box.balls.tolist():
-        three = slice(first, first + 3)
-        longest = steps[three].max()
-        if longest > 0.0:
-            steps[three], change[three] = longest, speed[three] / longest
-    return steps, change
+    speed, most = np.abs(v), box.acceleration * dt
+    limited = np.isfinite(most)
+    change = np.where(limited, speed / max((speed / most).max(initial=0.0), TINY), most)
+    if q is not None:
+        way = np.where(v > 0.0, box.upper - q[box.coordinate], q[box.coordinate] - box.lower)
+        way = 2.0 * (way - speed * ahead) + speed * dt
+        needed = np.divide(speed * speed * dt, way, out=most.copy(), where=way > 0.0)
+        change = np.maximum(change, np.minimum(needed, most))
+    return np.divide(speed, change, out=np.zeros_like(speed), where=speed > 0.0), change
+
+
+def braked(box: Box, v: Array, dt: float, q: Array) -> Array:
+    """Return what is left of v (n,), which has led to q (nq,), after a step of braking.
+
+    As `BoxLimit` has it, a joint stays able to stop in its range whatever the next steps last.
+    """
+    _, change = braking(box, v, dt, q)
+    room = np.where(v > 0.0, box.upper - q[box.coordinate], q[box.coordinate] - box.lower)
+    stops = (room >= 0.0) & np.isfinite(room) & np.isfinite(box.acceleration)
+    speed, most = np.abs(v[stops]), box.acceleration[stops] * dt
+    shed = speed - stopping_speed(room[stops], box.acceleration[stops], dt)
+    change[stops] = np.maximum(change[stops], np.minimum(shed, most))
+    return v - np.clip(v, -change, change)
+
+
+def stopping_speed(room: Array, acceleration: Array, dt: float) -> Array:
+    """Return √(a²dt² + 2a r) − a dt for the room r ≥ 0, so that it is exact for a small one."""
+    change, reach = acceleration * dt, 2.0 * acceleration * room
+    return reach / (np.sqrt(change * change + reach) + change)
 
 
 class BoxLimit:
@@ -138,15 +170,12 @@ class BoxLimit:
     def _make_stoppable(self, dt: float) -> None:
         """Clip the ends into the velocities from which each joint can stop in the room it has.
 
-        √(a²dt² + 2a r) − a dt for the room r, written so that it is exact for a small one. A joint
-        outside its range on that side has no room to stop in: the position limit alone says how
-        fast it comes back.
+        A joint outside its range on that side has no room to stop in: the position limit alone says
+        how fast it comes back.
         """
         ends, a = self._ends, self._deceleration
         room = (self._outward * self._room)[self._stopping]
-        change = a * dt
-        reach = 2.0 * a * np.maximum(room, 0.0)
-        speed = reach / (np.sqrt(change * change + reach) + change)
+        speed = stopping_speed(np.maximum(room, 0.0), a, dt)
         self._stop[self._stopping] = np.where(room >= 0.0, speed, np.inf)
         np.maximum(ends, -self._stop[0], out=ends)
         np.minimum(ends, self._stop[1], out=ends)

@@ -12,6 +12,7 @@ from rmrc.problem.configuration import turning_dofs
 from rmrc.problem.limits import extents
 from rmrc.problem.limits.always_near import Whereabouts
 from rmrc.problem.limits.barrier import Barrier, Near
+from rmrc.problem.limits.contacts import KEPT, Contacts
 from rmrc.problem.limits.distance import is_capsule_and_box, signed_distance
 from rmrc.problem.limits.movement import Movement
 from rmrc.problem.limits.pairs import pair_name, resolve_pairs
@@ -87,6 +88,10 @@ class Collision(Barrier):
     have moved since; only when it is used up is the pair looked at, and measured where its
     bounding spheres are not far apart either. That holds for any motion, jumps and moved obstacles
     included, since how far the geoms moved is taken from their poses.
+
+    The nearest points of flat faces jump from corner to corner, and with one of them in the program
+    the robot rocks on it. So where they jump, those of before are kept, as they stand in the geoms:
+    d is the least distance of all points, and what holds for them is no more than what is asked.
     """
 
     kind: ClassVar[str] = "collision"
@@ -120,7 +125,8 @@ class Collision(Barrier):
         self._touching = TOUCHING * resolution
         self._blurred = BLURRED * resolution * max(1.0, extents.size(model))
         ball = {g: extents.half_thickness(model, g) for g in np.unique(spec.geoms).tolist()}
-        self._thickness = self._d_min + np.array([min(ball[a], ball[b]) for a, b in spec.geoms])
+        apart = np.array([min(ball[a], ball[b]) for a, b in spec.geoms])
+        self._thickness = self._d_min + apart
         self._dof_root = model.body_rootid[model.dof_bodyid]
         self._movement = Movement(model, spec.geoms)
 
@@ -137,6 +143,8 @@ class Collision(Barrier):
         """Whether each pair was measured at the poses of now."""
         self._segments = np.zeros((count, 6))
         self._normals = np.zeros((count, 3))
+        self.most_kept = KEPT * count
+        self._contacts = Contacts(spec.geoms, self._turning.base, apart)
         self._travel = np.zeros(model.nv + 6 * model.nmocap)
         self._travel_now = np.zeros_like(self._travel)
         none = np.empty(0)
@@ -180,10 +188,42 @@ class Collision(Barrier):
                 self._room[0] = min(self._room[0], self._bound[pair] - self._threshold[pair])
         ids = self._active.nonzero()[0]
         normals = self._directions(data, ids)
-        distance = self._distance[ids] - self._d_min
-        return Near(
-            ids, distance, self._slopes(data, ids, normals), self._drifts(data, ids, normals)
-        )
+        for pair, normal in zip(ids.tolist(), normals, strict=True):
+            if self._distance[pair] > self._touching:
+                self._contacts.see(data, pair, self._segments[pair], normal)
+        return self._at(data, ids, self._segments[ids], normals, self._distance[ids])
+
+    def _at(
+        self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array, distance: Array
+    ) -> Near:
+        """Return pairs at segments (k, 6) between their geoms, with their normals (k, 3)."""
+        slopes = self._slopes(data, ids, segments, normals)
+        drifts = self._drifts(data, ids, segments, normals)
+        return Near(ids, distance - self._d_min, slopes, drifts)
+
+    def kept(self, data: mujoco.MjData) -> Near:
+        """Return the points of active pairs that were nearest before, and are near still."""
+        found = [
+            (pair, *kept)
+            for pair in self._active.nonzero()[0].tolist()
+            if self._distance[pair] > self._touching
+            for kept in self._contacts.kept(data, pair)
+        ]
+        if not found:
+            return self._none
+        ids, segments, normals, distance = (np.array(parts) for parts in zip(*found, strict=True))
+        np.maximum(distance, self._distance[ids], out=distance)
+        near = distance < LEAVE * self._thresholds(ids)
+        return self._at(data, ids[near], segments[near], normals[near], distance[near])
+
+    @property
+    def memory(self) -> tuple[NDArray[Any], ...]:
+        """What a step leaves to the next."""
+        return tuple(self._remembered().values())
+
+    def forget(self) -> None:
+        """Forget the points that were nearest before."""
+        self._contacts.forget()
 
     def distances(self, data: mujoco.MjData, ids: Ids) -> Array:
         """Return h of some pairs (k,), at most that of `FARTHEST`."""
@@ -247,22 +287,29 @@ class Collision(Barrier):
             "width": turning.width,
             "sign": turning.sign,
             "carries": self._carries,
+            "apart": self._contacts.apart,
             "precision": np.array([self._touching, self._blurred]),
             "moves": self._moves,
         }
+        contiguous = {name: np.ascontiguousarray(array) for name, array in fixed.items()}
+        return contiguous | self._remembered()
+
+    def _remembered(self) -> dict[str, NDArray[Any]]:
+        """Return what a step leaves to the next."""
         kept = {
             "bound": self._bound,
             "threshold": self._threshold,
             "distance": self._distance,
             "segments": self._segments,
             "normals": self._normals,
+            "contacts": self._contacts.points,
+            "contact_count": self._contacts.count,
             "active": self._active,
             "measured": self._measured,
             "room": self._room,
             "travel": self._travel,
         }
-        contiguous = {name: np.ascontiguousarray(array) for name, array in fixed.items()}
-        return contiguous | kept | self._movement.arrays()
+        return kept | self._movement.arrays()
 
     def name(self, identity: int) -> str:
         """Return the names of the two geoms."""
@@ -368,20 +415,20 @@ class Collision(Barrier):
         self._normals[ids] = normals
         return normals
 
-    def _slopes(self, data: mujoco.MjData, ids: Ids, normals: Array) -> Array:
+    def _slopes(self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array) -> Array:
         """Return nᵀ(J_b − J_a) (k, nv).
 
         The nearest points are on one line along n. So a dof that moves both geoms leaves d as it
         is, and for the others the moment of n about the world's origin is the same at both.
         """
-        moments = _cross(self._segments[ids, :3], normals)
+        moments = _cross(segments[:, :3], normals)
         turning, centre = data.cdof[:, :3], data.subtree_com[self._dof_root]
         velocity = data.cdof[:, 3:] - _cross(turning, centre)  # of the point at the origin
         slopes = normals @ velocity.T + moments @ turning.T
         slopes *= self._side[ids]
         return slopes
 
-    def _drifts(self, data: mujoco.MjData, ids: Ids, normals: Array) -> Array:
+    def _drifts(self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array) -> Array:
         """Return nᵀ(v_b − v_a) (k,) of the mocap bodies."""
         drifts = np.zeros(ids.size)
         if not self._twist.size:
@@ -390,7 +437,7 @@ class Collision(Barrier):
             pair = ids[k]
             twist = self._twist[self._mocap[pair, side]]
             origin = data.xpos[self._model.body_rootid[self._bodies[pair, side]]]
-            arm = self._segments[pair, 3 * side : 3 * side + 3] - origin
+            arm = segments[k, 3 * side : 3 * side + 3] - origin
             speed = normals[k] @ twist[:3] + np.cross(arm, normals[k]) @ twist[3:]
             drifts[k] += speed if side else -speed
         return drifts

@@ -19,6 +19,7 @@ from rmrc.problem.objects import Objects
 
 Array = NDArray[np.float64]
 Value = TypeVar("Value")
+Path = tuple[str | int, ...]
 
 HINGE_SPEED = np.pi
 """Cap in rad/s of a joint without a stated velocity limit."""
@@ -52,10 +53,9 @@ def compile_box(
         upper=upper,
         gain=1.0 if limits.position == "off" else limits.position.gain,
         velocity=_velocities(objects, limits, speeds or {}, notices, mistakes),
-        acceleration=_per_joint(objects, "acceleration", limits.acceleration, mistakes),
-        jerk=_per_joint(objects, "jerk", limits.jerk, mistakes),
+        acceleration=_limit(objects, "acceleration", limits.acceleration, mistakes),
+        jerk=_limit(objects, "jerk", limits.jerk, mistakes),
         step=np.full(model.nv, np.inf),
-        balls=model.jnt_dofadr[model.jnt_type == _BALL].astype(np.intp),
     )
     return box, notices
 
@@ -71,7 +71,6 @@ def select(box: Box, dofs: NDArray[np.intp]) -> Box:
         acceleration=box.acceleration[dofs],
         jerk=box.jerk[dofs],
         step=box.step[dofs],
-        balls=np.searchsorted(dofs, box.balls[np.isin(box.balls, dofs)]),
     )
 
 
@@ -146,7 +145,7 @@ def _positions(
         notices.append("position limits are off")
         return lower, upper
     named = limits.position.named
-    _check_names(objects, "position", named, mistakes)
+    _check_names(objects, ("limits", "position"), named, mistakes)
     held, sources = _ranges(model, limits)
     for joint, (low, high) in zip(robot, held[robot], strict=True):
         margin = limits.position.margin
@@ -189,7 +188,7 @@ def _velocities(
     the file says; else of the velocity actuators; else the default cap.
     """
     model = objects.model
-    speed = _per_joint(objects, "velocity", limits.velocity, mistakes)
+    speed = _limit(objects, "velocity", limits.velocity, mistakes)
     if limits.velocity == "off":
         notices.append("velocity limits are off")
     else:
@@ -245,29 +244,46 @@ def _take_speeds(
         notices.append(f"velocity limits from the scene's file: {listed(model, taken)}")
 
 
-def _per_joint(objects: Objects, key: str, limit: PerJoint | Off, mistakes: list[Mistake]) -> Array:
+def _limit(objects: Objects, key: str, limit: PerJoint | Off, mistakes: list[Mistake]) -> Array:
     """Return a limit as (nv,), infinite where none is stated."""
+    return per_joint(objects, ("limits", key), limit, np.inf, mistakes)
+
+
+def per_joint(
+    objects: Objects, path: Path, stated: PerJoint | Off, unstated: float, mistakes: list[Mistake]
+) -> Array:
+    """Return what is stated for each joint as (nv,), another value where nothing is.
+
+    Args:
+        objects: What of the model is not the robot.
+        path: Where in the configuration it is stated.
+        stated: The values; the default is not for a floating base.
+        unstated: The other value.
+        mistakes: Where to add names that do not fit the model.
+    """
     model = objects.model
-    values = np.full(model.nv, np.inf)
-    if limit == "off":
+    values = np.full(model.nv, unstated)
+    if stated == "off":
         return values
-    if limit.default is not None:
-        values[:] = limit.default
-        values[free_dofs(model)] = np.inf
-    _check_names(objects, key, limit.named, mistakes)
-    for joint, value in _known(model, limit.named).items():
+    if stated.default is not None:
+        values[:] = stated.default
+        values[free_dofs(model)] = unstated
+    _check_names(objects, path, stated.named, mistakes)
+    for joint, value in _known(model, stated.named).items():
         values[joint_dofs(model, joint)] = value
     return values
 
 
-def _check_names(objects: Objects, key: str, named: Iterable[str], mistakes: list[Mistake]) -> None:
+def _check_names(
+    objects: Objects, path: Path, named: Iterable[str], mistakes: list[Mistake]
+) -> None:
     """Note the names that are no joint's, and those of objects and of floating bases."""
     model = objects.model
     for name in named:
         try:
             joint = find(model, "joint", name)
         except ModelError as unknown:
-            mistakes.append(Mistake(("limits", key, name), str(unknown), key=True))
+            mistakes.append(Mistake((*path, name), str(unknown), key=True))
             continue
         if objects.joints[joint]:
             root = objects.name(int(model.body_rootid[model.jnt_bodyid[joint]]))
@@ -275,10 +291,10 @@ def _check_names(objects: Objects, key: str, named: Iterable[str], mistakes: lis
                 f"'{name}' is a joint of '{root}', an object that is not moved; "
                 "name it in `dofs` to make it part of the robot"
             )
-            mistakes.append(Mistake(("limits", key, name), message, key=True))
+            mistakes.append(Mistake((*path, name), message, key=True))
         elif joint_type(model, joint) == _FREE:
             message = f"'{name}' is a floating base, not a joint"
-            mistakes.append(Mistake(("limits", key, name), message, key=True))
+            mistakes.append(Mistake((*path, name), message, key=True))
 
 
 def _known(model: mujoco.MjModel, named: Mapping[str, Value]) -> dict[int, Value]:

@@ -174,6 +174,10 @@ class Term(ABC):
         """Return the true errors, in `units`, that the error vector e (rows,) stands for."""
         return np.array([np.sqrt(error @ error)])[: len(self.units)]
 
+    def after(self, error: Array, v_previous: Array, v: Array) -> Array:
+        """Return the error (rows,) that is reported of a step from v_previous to v (nv,)."""
+        return error
+
     def attainable(self, error: Array, rate: Array) -> Array:
         """Return ẋ (rows,) at e (rows,) without what J v is at right angles to by definition."""
         return rate
@@ -253,6 +257,41 @@ class Pull(NamedTuple):
     torque: Array
     distance: float = math.inf
     """m, of the point about which the force turns as the frame's origin moves."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointTerm(Term):
+    """A term on the joints themselves, with errors of their own: metres and radians apart."""
+
+    joint: ClassVar[bool] = True
+    per: ClassVar[str] = ""
+    """What a unit is per, as "/s"."""
+
+    turning: NDArray[np.bool_]
+    """Which dofs turn, not shift (nv,)."""
+
+    @cached_property
+    def _parts(self) -> tuple[tuple[str, NDArray[np.intp]], ...]:
+        """The units, and the dofs with a weight that each is of; at least one."""
+        weighed = self.diagonal > 0.0
+        shifts = np.flatnonzero(weighed & ~self.turning)
+        turns = np.flatnonzero(weighed & self.turning)
+        parts = (("m" + self.per, shifts), ("rad" + self.per, turns))
+        return tuple(part for part in parts if part[1].size) or (parts[1],)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The norm over the joints that shift, and over those that turn, where there are any."""
+        return tuple(unit for unit, _ in self._parts)
+
+    @property
+    def unit_rows(self) -> tuple[NDArray[np.intp], ...]:
+        """The dofs of each unit that have a weight."""
+        return tuple(rows for _, rows in self._parts)
+
+    def measure(self, error: Array) -> Array:
+        """Return the norms of the error over the joints that have a weight, a unit each."""
+        return np.array([math.sqrt(error[rows] @ error[rows]) for _, rows in self._parts])
 
 
 class RowlessTerm(Term):

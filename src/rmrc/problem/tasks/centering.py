@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from rmrc.config.base import JointName, NonNegative
-from rmrc.problem.configuration import QPOS_WIDTH, joint_type
+from rmrc.problem.configuration import QPOS_WIDTH, joint_type, turning_dofs
 from rmrc.problem.frames import find
 from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import Array, FieldError, GainedTask, TargetKind
@@ -52,6 +52,7 @@ class CenteringTask(GainedTask):
             **self.common(),
             weight=weight,
             target=middle,
+            turning=turning_dofs(model),
         )
 
     def _ranged(self, model: mujoco.MjModel) -> list[int]:

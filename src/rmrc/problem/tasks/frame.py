@@ -17,7 +17,6 @@ from rmrc.problem.lie import inverse_left_jacobian, inverse_multiply, log_motion
 from rmrc.problem.tasks.base import (
     Array,
     BendingTerm,
-    FieldError,
     GainedTask,
     HardTask,
     Preserve,
@@ -104,15 +103,9 @@ class FrameTask(PoseTask):
         return [resolve(model, self.frame).body(model)]
 
     def compile(self, model: mujoco.MjModel, start: Array) -> "FrameTerm":
-        """Resolve the frame; the target is its pose at the start.
-
-        Raises:
-            FieldError: If no joint moves it, or B has another size.
-        """
+        """Resolve the frame; the target is its pose at the start."""
         weight = self.pose_weight()
         handle = resolve(model, self.frame)
-        if not handle.dofs(model):
-            raise FieldError("frame", f"no joint moves the {handle.kind} '{self.frame.name}'")
         return FrameTerm(
             **self.common(),
             weight=weight,

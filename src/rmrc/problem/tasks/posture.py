@@ -9,14 +9,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.base import JointName, KeyframeName, Number, Vector
-from rmrc.problem.configuration import free_dofs, resolve_configuration
+from rmrc.config.base import JointName, KeyframeName, Number, Vector, Weight
+from rmrc.problem.configuration import free_dofs, resolve_configuration, turning_dofs
 from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import (
     Array,
     FieldError,
     GainedTask,
     HardTask,
+    JointTerm,
     TargetKind,
     Term,
     WeightedTask,
@@ -36,6 +37,9 @@ class PostureTask(HardTask, GainedTask, WeightedTask):
     target_kind: ClassVar[TargetKind] = "configuration"
 
     type: Literal["posture"] = "posture"
+    B: Weight = 0.01
+    """Weight of the squared error, Whitney's B: a number, a diagonal or a symmetric matrix. One
+    level down it is small enough to leave a `frame` of the default weight at its target."""
     target: KeyframeName | Vector | dict[JointName, Number] | None = None
     """A keyframe, all of qpos, or {joint: value} on the start; by default the start itself."""
     wrap: bool = False
@@ -60,16 +64,16 @@ class PostureTask(HardTask, GainedTask, WeightedTask):
             **self.common(),
             weight=weight,
             target=target,
+            turning=turning_dofs(model),
             wrapped=_endless(model) if self.wrap else _NONE,
         )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PostureTerm(Term):
+class PostureTerm(JointTerm):
     """A `posture` task: e = q* ⊖ q on the manifold, J = I."""
 
     target_kind: ClassVar[TargetKind] = "configuration"
-    joint: ClassVar[bool] = True
 
     wrapped: NDArray[np.intp] = field(default_factory=lambda: _NONE)
     """The dofs whose error is taken in (−π, π]."""
@@ -78,16 +82,6 @@ class PostureTerm(Term):
         """Return the term that wraps only what has no range [lower, upper] (nv,) either."""
         ranged = np.isfinite(lower) | np.isfinite(upper)
         return replace(self, wrapped=self.wrapped[~ranged[self.wrapped]])
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """The norm over the joints."""
-        return ("rad",)
-
-    def measure(self, error: Array) -> Array:
-        """Return the norm of the error over the joints that have a weight, rad and m alike."""
-        part = error[self.diagonal > 0.0]
-        return np.array([np.sqrt(part @ part)])
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:

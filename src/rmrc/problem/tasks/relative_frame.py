@@ -18,7 +18,7 @@ from rmrc.problem.lie import (
     log_motion,
     turn_back,
 )
-from rmrc.problem.tasks.base import Array, FieldError, Pull, Way
+from rmrc.problem.tasks.base import Array, Pull, Way
 from rmrc.problem.tasks.frame import PoseTask, PoseTerm
 from rmrc.problem.tasks.mink_tasks import MinkTerm
 
@@ -43,8 +43,6 @@ class RelativeFrameTask(PoseTask):
         """Resolve both frames; the target is their relative pose at the start."""
         weight = self.pose_weight()
         frame, root = resolve(model, self.frame), resolve(model, self.root)
-        if not set(frame.dofs(model)) ^ set(root.dofs(model)):
-            raise FieldError("frame", f"no joint moves '{self.frame.name}' as its root sees it")
         return RelativeFrameTerm(
             **self.common(),
             weight=weight,

@@ -8,12 +8,13 @@ import mujoco
 import numpy as np
 
 from rmrc.config.base import JointName, Number
-from rmrc.problem.configuration import dof_of_joint
+from rmrc.problem.configuration import dof_of_joint, turning_dofs
 from rmrc.problem.objects import bodies_of_joints
 from rmrc.problem.tasks.base import (
     Array,
     FieldError,
     HardTask,
+    JointTerm,
     TargetKind,
     Term,
     WeightedTask,
@@ -54,25 +55,20 @@ class VelocityTask(HardTask, WeightedTask):
             **self.common(),
             weight=weight,
             target=rates,
+            turning=turning_dofs(model),
         )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class VelocityTerm(Term):
-    """A `velocity` task: ẋ = v*, J = I; the error reported is v* − v_prev."""
+class VelocityTerm(JointTerm):
+    """A `velocity` task: ẋ = v*, J = I, e = v* − v_prev; the error of a step is v* − v."""
 
     target_kind: ClassVar[TargetKind] = "rates"
-    joint: ClassVar[bool] = True
+    per: ClassVar[str] = "/s"
 
-    @property
-    def units(self) -> tuple[str, ...]:
-        """The norm over the joints."""
-        return ("rad/s",)
-
-    def measure(self, error: Array) -> Array:
-        """Return the norm of the rates' error over the joints that have a weight."""
-        part = error[self.diagonal > 0.0]
-        return np.array([np.sqrt(part @ part)])
+    def after(self, error: Array, v_previous: Array, v: Array) -> Array:
+        """Return v* − v: that of the step itself, not of the one before."""
+        return error + v_previous - v
 
     @classmethod
     def evaluator(cls, terms: Sequence[Term], evaluation: "Evaluation") -> Callable[[], None]:

@@ -21,6 +21,10 @@ STATUS = {
 """DAQP's exit flags; any other is a failure."""
 
 
+SHORT, NOTHING = 1e-3, 1e-12
+"""DAQP ignores rows shorter than 3e-6: those in between are made units, the shortest are none."""
+
+
 class DAQP(Backend):
     """DAQP's persistent `Model`, which starts from the active set of the last solve.
 
@@ -33,6 +37,7 @@ class DAQP(Backend):
 
     def __init__(self, max_iter: int | None = None, tolerance: float | None = None) -> None:
         super().__init__(polished=False)
+        self._short = False  # whether a row was made a unit
         self._settings = {
             "primal_tol": 1e-12 if tolerance is None else tolerance,
             # Of the proximal iterations that a singular H takes; 1e-6 of its own is too loose.
@@ -45,8 +50,17 @@ class DAQP(Backend):
         n, rows = qp.g.size, qp.lo.size
         size = n + rows + qp.f.size
         self._lower, self._upper, cap = np.full((3, size), INFINITY)
+        self._scale = np.ones(size)
         self._limits = [
-            (low, high, cap[part], -cap[part], self._lower[part], self._upper[part])
+            (
+                low,
+                high,
+                cap[part],
+                -cap[part],
+                self._lower[part],
+                self._upper[part],
+                self._scale[part],
+            )
             for low, high, part in (
                 (qp.lb, qp.ub, slice(n)),
                 (qp.lo, qp.hi, slice(n, n + rows)),
@@ -76,12 +90,20 @@ class DAQP(Backend):
 
     def _copy(self, qp: QP) -> None:
         """Stack the limits, and the rows, into the arrays that the model points to."""
-        for low, high, cap, floor, lower, upper in self._limits:
-            np.maximum(low, floor, out=lower)
-            np.minimum(high, cap, out=upper)
         if self._rows.size:
             rows = qp.lo.size
             self._rows[:rows], self._rows[rows:] = qp.C, qp.E
+            length = np.sqrt(np.einsum("ij,ij->i", self._rows, self._rows))
+            short = (length < SHORT) & (length > NOTHING)
+            self._short = bool(short.any())
+            if self._short:
+                scale = self._scale[qp.g.size :]
+                scale[:] = 1.0
+                scale[short] = 1.0 / length[short]
+                self._rows *= scale[:, None]
+        for low, high, cap, floor, lower, upper, scale in self._limits:
+            np.maximum(scale * low if self._short else low, floor, out=lower)
+            np.minimum(scale * high if self._short else high, cap, out=upper)
 
     def _run(self, qp: QP, seconds: float) -> Solution:
         if seconds != self._seconds:
@@ -94,4 +116,6 @@ class DAQP(Backend):
             # A dual method has no velocity to offer before its last iteration.
             return Solution.at_rest(qp, status, iterations)
         n, m, multiplier = qp.g.size, qp.g.size + qp.lo.size, info["lam"]
+        if self._short:
+            multiplier = self._scale * multiplier
         return Solution(v, multiplier[:n], multiplier[n:m], multiplier[m:], iterations, status)
