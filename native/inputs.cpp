@@ -5,6 +5,14 @@
 
 namespace rmrc {
 
+bool normalize(double* turn) {
+  double square = 0.0;
+  for (int i = 0; i < 4; ++i) square += turn[i] * turn[i];
+  const double norm = std::sqrt(square);
+  for (int i = 0; i < 4; ++i) turn[i] /= norm;
+  return norm >= zero_norm;
+}
+
 bool Aim::take(const Given& given) const {
   double next[7], rates[6];
   const int size = pose ? 7 : 3;

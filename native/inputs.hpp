@@ -13,6 +13,9 @@ inline constexpr double zero_norm = 1e-12;
 /// Lengths of a step in s beyond which a clock is at fault: rmrc.control.controller.
 inline constexpr double shortest_step = 1e-9, longest_step = 1e3;
 
+/// Make a quaternion of a configuration one of length 1; false if it has no direction.
+bool normalize(double* turn);
+
 /// A target that is set at run time, a pose, wxyz + xyz, or a point; null for what is not given.
 struct Given {
   const double* position;    // (3,)

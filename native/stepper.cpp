@@ -52,13 +52,7 @@ bool Stepper::read(const double* q) {
     sane &= std::abs(q[i]) < largest_input;  // NaN is not less
     from_[i] = q[i];
   }
-  for (const int first : quaternions_) {
-    double* turn = from_.data() + first;
-    const double norm =
-        std::sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2] + turn[3] * turn[3]);
-    sane &= norm >= zero_norm;
-    for (int i = 0; i < 4; ++i) turn[i] /= norm;
-  }
+  for (const int first : quaternions_) sane &= normalize(from_.data() + first);
   return sane;
 }
 

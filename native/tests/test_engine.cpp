@@ -142,7 +142,7 @@ struct Fixture {
         rmrc::ProgramArrays{H.data(), g, lb, ub, rate, &added, inertia.data(), a_previous},
         rmrc::Constants{{0, 1, 2, 3, 4}, constant, 1.0, 1e-3, 1e-4},
         rmrc::JointLimits{{0, 1, 2, 3, 4}, every(-2.0), every(2.0), 0.95, every(fastest),
-                          every(strongest), every(jerk), every(infinity), {}},
+                          every(strongest), every(jerk), every(infinity)},
         1000);
     add_tasks();
     std::vector<rmrc::TaskedRow> tasked;

@@ -121,7 +121,9 @@ class Configurations:
         array = np.array(given)
         for first in self.quaternions:
             quaternion = array[first : first + 4]
-            norm = math.sqrt(quaternion.dot(quaternion))
+            # One by one, as the extension does: a sum of numpy's has another order.
+            w, x, y, z = quaternion.tolist()
+            norm = math.sqrt(w * w + x * x + y * y + z * z)
             if norm < ZERO_NORM:
                 return None
             quaternion /= norm
