@@ -313,6 +313,7 @@ struct LimitedFixture : Fixture {
 
 std::vector<double> run_limited(int steps) {
   LimitedFixture fixture;
+  constexpr int at_first = rmrc::planes;  // the row of the plane; the ball's comes after
   std::vector<double> out(fixture.stepper->size() + 4 * LimitedFixture::capacity), history;
   history.reserve(static_cast<std::size_t>(steps) * joints);
   rmrc::Summary summary;
@@ -328,7 +329,7 @@ std::vector<double> run_limited(int steps) {
     if (taken) fixture.stepper->write(out.data());
     expect(allocations == before, "called for memory beside limits", k);
     shortened += fixture.engine->share() < 1.0;
-    for (int r = 3; r < fixture.rows->count(); ++r) {
+    for (int r = at_first; r < fixture.rows->count(); ++r) {
       corrected += fixture.engine->moved() && fixture.engine->lower()[r] > fixture.lower[r];
     }
     expect(taken, "not taken beside limits", k);
@@ -337,11 +338,11 @@ std::vector<double> run_limited(int steps) {
     kinematics(nullptr, &fixture.arm);
     const double* at = fixture.distance;
     const int count = fixture.rows->count();
-    expect(at[3] >= -kept, "beyond the plane", k);
-    if (count > 4) expect(at[4] >= -kept, "in the ball", k);
+    expect(at[at_first] >= -kept, "beyond the plane", k);
+    if (count > at_first + 1) expect(at[at_first + 1] >= -kept, "in the ball", k);
     expect(distance(nullptr, &fixture.arm, 0, 1, infinity, segment) >= 0.01 - kept, "too near", k);
-    at_plane += fixture.multiplier[3] < -1e-7;
-    at_ball += count > 4 && fixture.multiplier[4] < -1e-7;
+    at_plane += fixture.multiplier[at_first] < -1e-7;
+    at_ball += count > at_first + 1 && fixture.multiplier[at_first + 1] < -1e-7;
     history.insert(history.end(), fixture.v, fixture.v + joints);
   }
   expect(relaxed * 100 < steps, "too much is relaxed", relaxed);
