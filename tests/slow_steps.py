@@ -64,6 +64,7 @@ _ALL = {"collision": {"pairs": "all"}}
 _STOPPING = {"acceleration": {"default": 15.0}}
 _PALMS = ("left_palm", "right_palm", "left_foot")
 _GRIPPERS = ("left/gripper", "right/gripper")
+_ZERO = [0.0] * 16  # where the arms of ALOHA are inside each other
 _PANDA, _G1 = "franka_emika_panda/scene", "unitree_g1/g1"
 _NEAR = {"collision": {"pairs": "all", "d_min": 0.02, "detect": 0.2}}
 _FAR = {"collision": {"pairs": "all", "detect": 0.5}}
@@ -75,8 +76,10 @@ CASES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "g1": _of_menagerie(_G1, _PALMS, start="stand", limits=_ALL),
     "g1, strict": _of_menagerie(_G1, _PALMS, start="stand", limits=_ALL, priority="strict"),
     "g1, stopping, far": _of_menagerie(_G1, _PALMS, start="stand", limits={**_FAR, **_STOPPING}),
-    "aloha": _of_menagerie("aloha/scene", _GRIPPERS, limits=_NEAR),
-    "aloha, stopping": _of_menagerie("aloha/scene", _GRIPPERS, limits={**_NEAR, **_STOPPING}),
+    "aloha": _of_menagerie("aloha/scene", _GRIPPERS, start=_ZERO, equalities="off", limits=_NEAR),
+    "aloha, stopping": _of_menagerie(
+        "aloha/scene", _GRIPPERS, start=_ZERO, equalities="off", limits={**_NEAR, **_STOPPING}
+    ),
     "chain": _chain,
 }
 

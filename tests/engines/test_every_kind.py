@@ -132,7 +132,7 @@ def compared(made: rmrc.Config) -> NativeEngine:
 def test_a_task(kind: str, priority: str, scene: str) -> None:
     task = {"name": "task", "type": kind, **TASKS[kind]}
     tasks = [task, {"name": "hand", **HAND, "B": 0.1}, REST]
-    engine = compared(config(scene, tasks, dt=0.01, priority=priority))
+    engine = compared(config(scene, tasks, dt=0.01, priority=priority, equalities="off"))
     foreign = {term.type for term in engine.evaluation.terms if type(term) in dict(engine._foreign)}
     assert foreign == PYTHONS & {kind}
 
@@ -140,13 +140,13 @@ def test_a_task(kind: str, priority: str, scene: str) -> None:
 @pytest.mark.parametrize("kind", LIMITS)
 def test_a_limit(kind: str, scene: str) -> None:
     tasks = [{"name": "hand", **HAND}, REST]
-    compared(config(scene, tasks, dt=0.01, limits={kind: LIMITS[kind]}))
+    compared(config(scene, tasks, dt=0.01, limits={kind: LIMITS[kind]}, equalities="off"))
 
 
 @pytest.mark.parametrize("name", [name for names in EQUALITIES.values() for name in names])
 def test_an_equality(name: str, scene: str) -> None:
     tasks = [{"name": "loop", "type": "loop", "equalities": [name]}, {"name": "hand", **HAND}, REST]
-    engine = compared(config(scene, tasks, dt=0.01))
+    engine = compared(config(scene, tasks, dt=0.01, equalities="off"))
     assert bool(engine._foreign) == (name == "spatial tendon")
 
 

@@ -173,7 +173,7 @@ HOSTILE = {
     "scene that never ends": (scene("/dev/zero"), NO_SCENE),
     "scene of the terminal": (scene("/dev/stdin"), NO_SCENE),
     "scene in a pipe": (scene("pipe.yaml"), NO_SCENE),
-    "scene in a folder": (scene("."), "is a folder; name a file in it"),
+    "scene in a folder": (scene("/"), "is a folder; name a file in it"),
     "scene of 100 MB": (scene("zeros.yaml"), "is larger than 10 MB"),
     "scene far down": (scene("h/" * 4000), "scene"),
     "path that never ends": (path("/dev/zero.csv"), "there is no such file"),

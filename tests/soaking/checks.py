@@ -379,7 +379,9 @@ class Checker:
             found["certificate"] = np.inf
         if not step.flag_bits >> Status.RELAXED & 1:
             found["equality"] = float(np.abs(qp.E @ solution.v - qp.f).max(initial=0.0))
-            if self._certified and step.moment.share == 1.0:
+            # Where a frame's speed is at its limit the program had the ball's curvature in H.
+            bent = bool(self._speeds) and bool(solution.row_multiplier.any())
+            if self._certified and step.moment.share == 1.0 and not bent:
                 found["residual"] = _residual(qp, solution, unit)
         return found
 

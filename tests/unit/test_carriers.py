@@ -165,7 +165,7 @@ def test_feed_forward_is_the_errors_derivative_by_the_mocap_motion(
 
 
 def test_clearance_feeds_forward_how_mocap_bodies_come_near(scene: str) -> None:
-    evaluation = Evaluation(rmrc.compile(config(scene, [CLEARANCE])))
+    evaluation = Evaluation(rmrc.compile(config(scene, [CLEARANCE], equalities="off")))
     rng, twist = np.random.default_rng(0), np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
     q = random_configuration(evaluation.model, evaluation.problem.start, rng, 0.3)
     numeric = by_mocap(evaluation, q, twist, MEASURED_STEP)
@@ -178,7 +178,7 @@ def test_clearance_feeds_forward_how_mocap_bodies_come_near(scene: str) -> None:
 
 @pytest.mark.parametrize("tasks", [TASKS, [*TASKS, CLEARANCE]], ids=["own", "foreign"])
 def test_engines_agree_on_what_mocap_bodies_carry(scene: str, tasks: list[dict[str, Any]]) -> None:
-    problem = rmrc.compile(config(scene, tasks, dt=0.005))
+    problem = rmrc.compile(config(scene, tasks, dt=0.005, equalities="off"))
     leader, twin = (rmrc.Controller(problem, engine=engine) for engine in ("python", "native"))
     rng = np.random.default_rng(0)
     twist = np.zeros(6)
@@ -213,7 +213,9 @@ def test_frame_follows_a_moving_mocap_site_without_lag(
 ) -> None:
     tasks = [{"name": "follow", "type": "relative_frame", "frame": TIP, "root": HANDLE,
               "gain": gain}]  # fmt: skip
-    problem = rmrc.compile(config(scene, tasks, dt=0.002, damping={"lambda": 0.003}))
+    problem = rmrc.compile(
+        config(scene, tasks, dt=0.002, damping={"lambda": 0.003}, equalities="off")
+    )
     controller, model = rmrc.Controller(problem, engine=engine), problem.model
     data, place, speed = mujoco.MjData(model), model.body("cart").pos.copy(), [0.0, -0.2, 0.0]
     data.qpos[:] = problem.start
@@ -235,7 +237,15 @@ def test_frame_follows_a_mocap_body_on_its_path(scene: str, follow: str) -> None
     tasks = [{"name": "follow", "type": "relative_frame", "frame": TIP, "root": HANDLE}]
     path = {"path": "line", "to": {"position": [0.5, 0.05, 0.2]}, "speed": 0.2,
             "profile": "constant"}  # fmt: skip
-    made = config(scene, tasks, dt=0.002, duration=1.0, obstacles={"cart": path}, follow=follow)
+    made = config(
+        scene,
+        tasks,
+        dt=0.002,
+        duration=1.0,
+        obstacles={"cart": path},
+        follow=follow,
+        equalities="off",
+    )
     run = rmrc.solve(made)
     assert run.error["follow"][:, 0].max() < LAG
     assert run.mocap is not None

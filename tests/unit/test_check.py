@@ -76,8 +76,8 @@ def test_a_frame_that_no_joint_moves_is_an_error(task: dict[str, Any]) -> None:
         check(config(ARM, [HAND, {"name": "still", **task}]))
 
 
-def test_so_is_one_that_none_of_the_dofs_moves() -> None:
+def test_one_that_none_of_the_dofs_moves_is_said() -> None:
     link = {"name": "link", "type": "frame", "frame": {"body": "link1"}}
-    check(config(ARM, [link], dofs=["joint1", "joint2"]))
-    with pytest.raises(rmrc.ConfigError, match="no joint of `dofs` moves this"):
-        check(config(ARM, [link], dofs=["joint2"]))
+    said = "none of `dofs` moves link"
+    assert not any(said in line for line in check(config(ARM, [link], dofs=["joint1", "joint2"])))
+    assert any(said in line for line in check(config(ARM, [link], dofs=["joint2"])))

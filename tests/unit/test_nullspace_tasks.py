@@ -600,7 +600,7 @@ def test_names_of_geoms_and_bodies_are_checked_in_a_file(tmp_path: Path) -> None
     (mistake,) = caught.value.mistakes
     assert mistake.message == (
         "no geom or body named 'lnik2'; did you mean 'link2'? "
-        "There is: floor, base, link1, pin1, link2, pin2, world"
+        "There is: floor, base, link1, pin1, link2, pin2, world (`rmrc inspect` lists all names)"
     )
     assert mistake.place is not None
     assert (mistake.place.line, mistake.place.column) == (5, 28)

@@ -107,7 +107,7 @@ class _Compiler:
                 box.velocity[term.dofs] = 0.0
         terms = tuple(term.within(box.lower, box.upper) for term in terms)
         moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
-        self._refuse_unmoved(model, terms, set(moving.tolist()))
+        notices += self._unmoved(model, terms, set(moving.tolist()))
         barriers = compile_barriers(objects, config.limits, start, moving, mistakes, notices)
         if barriers:
             box.step[:] = np.where(turning_dofs(model), 1.0, max(1.0, size(model))) * LONGEST_STEP
@@ -158,13 +158,19 @@ class _Compiler:
             mink_limits=mink_limits,
         )
 
-    def _refuse_unmoved(
+    def _unmoved(
         self, model: mujoco.MjModel, terms: tuple[Term, ...], moving: set[int]
-    ) -> None:
-        """Note the tasks whose frame no joint moves: they could never do anything."""
+    ) -> list[str]:
+        """Note the tasks whose frame no joint moves, which could never do anything; return what to
+        say of those that none of `dofs` does.
+        """
+        notices: list[str] = []
         index = {task.name: k for k, task in enumerate(self._config.tasks)}
         for term in terms:
             if not isinstance(term, BendingTerm) or moving.intersection(term.way(model).dofs):
+                continue
+            if term.way(model).dofs:
+                notices.append(f"none of `dofs` moves {term.name}: it only says how far it is off")
                 continue
             key = (
                 "frame"
@@ -172,11 +178,9 @@ class _Compiler:
                 else None
             )
             place = ("tasks", index[term.name], *([key] if key else []))
-            among = "" if self._config.dofs is None else " of `dofs`"
-            message = (
-                f"no joint{among} moves this: name a frame that hangs on a joint that may move"
-            )
+            message = "no joint moves this: name a frame that hangs on a joint that may move"
             self._mistakes.append(Mistake(place, message))
+        return notices
 
     def _scene_at_start(self) -> tuple[Scene, Array, list[str]]:
         """Return the scene, the start configuration, without which nothing else is tried, and
