@@ -25,7 +25,7 @@ def skip_instead_of_downloading() -> None:
                 pytest.skip(ABSENT)
             return xml(robot, *arguments)
 
-        mujoco_menagerie.Robot.xml = present
+        mujoco_menagerie.Robot.xml = present  # pyright: ignore[reportAttributeAccessIssue]
 
 
 if MENAGERIE.is_dir():

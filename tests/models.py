@@ -84,7 +84,7 @@ def scene_path(name: str, folder: Path) -> str:
     return str(path)
 
 
-def config(scene: str, tasks: list[dict[str, Any]], **others: Any) -> rmrc.Config:
+def config(scene: Any, tasks: list[dict[str, Any]], **others: Any) -> rmrc.Config:
     """Return a configuration from plain data."""
     return rmrc.Config.model_validate({"scene": scene, "tasks": tasks, **others})
 

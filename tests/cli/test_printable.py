@@ -100,6 +100,7 @@ def test_what_python_says(config: str) -> None:
         controller.set_obstacle("x\x1b[31m", [0, 0, 0])
     assert str(mistake.value).isprintable()
     controller.set_target("hand", [3.5, 0, 0])
+    step = controller.step(dt=0.1)
     for _ in range(200):
         step = controller.step(dt=0.1)
     assert step.status is rmrc.Status.STUCK

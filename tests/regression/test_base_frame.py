@@ -7,7 +7,7 @@ import mink
 import numpy as np
 import pytest
 from hypothesis import assume, given
-from robots import (
+from random_robots import (
     ROBOTS,
     Moment,
     Robot,

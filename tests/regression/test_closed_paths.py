@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from robots import Robot, unit_links
+from random_robots import Robot, unit_links
 
 # Where the hand and the joints are back: rounding of 200 steps, times conditions up to 10.
 BACK = 1e-9

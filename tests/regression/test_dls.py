@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from robots import (
+from random_robots import (
     assert_close,
     definite,
     each_robot,

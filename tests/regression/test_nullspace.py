@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from robots import (
+from random_robots import (
     Robot,
     asked,
     assert_close,

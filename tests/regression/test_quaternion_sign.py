@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from robots import (
+from random_robots import (
     OFF,
     assert_close,
     each_robot,

@@ -328,7 +328,11 @@ def test_the_scale_of_the_jacobian_is_no_singularity(scale: float) -> None:
         "bounded": lambda s: reference.bounded_dls(s * J, xdot, -0.3 / s, 0.3 / s, 0.1 * s),
         **{
             f"{form} {by}": lambda s, form=form, by=by: reference.dls(
-                s * J, xdot, 0.1 * s, form, by
+                s * J,
+                xdot,
+                0.1 * s,
+                form,
+                by,  # pyright: ignore[reportArgumentType]
             )
             for form, by in LU
         },

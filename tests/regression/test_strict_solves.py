@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from robots import Moment, asked, definite, random_moment, random_robot
+from random_robots import Moment, asked, definite, random_moment, random_robot
 
 import rmrc
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import assume, given
-from robots import (
+from random_robots import (
     Robot,
     asked,
     assert_close,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from robots import (
+from random_robots import (
     assert_close,
     definite,
     each_robot,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from robots import (
+from random_robots import (
     Moment,
     Robot,
     asked,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from robots import assert_close, examples, numbers, random_moment, random_robot
+from random_robots import assert_close, examples, numbers, random_moment, random_robot
 
 # The square roots of B differ by rotations: rounding, times conditions up to 1e4.
 SAME_WEIGHT = 1e-9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from robots import (
+from random_robots import (
     asked,
     assert_close,
     definite,

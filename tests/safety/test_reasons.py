@@ -142,8 +142,7 @@ def test_an_orientation_that_nobody_asked_for_is_the_reason(engine: Any) -> None
         controller = rmrc.Controller(rmrc.compile(config(scene, [task], dt=0.01)), engine)
         assert controller.set_target("hand", target)
         for _ in range(800):
-            step = controller.step()
-        said[name] = step
+            said[name] = controller.step()
     assert Status.STUCK in said["pose"].flags
     missed = float(said["pose"].error["hand"][0])
     assert float(said["point"].error["hand"][0]) < 1e-3

@@ -106,7 +106,7 @@ def test_the_norm_is_held_and_little_is_lost(repository: Path, engine: str, case
         best = under_the_norm(qp, jacobian, speed)
 
         def cost(v: Array, qp: QP = qp) -> float:
-            return 0.5 * v @ qp.H @ v + qp.g @ v
+            return float(0.5 * v @ qp.H @ v + qp.g @ v)
 
         assert cost(step.v) <= cost(best) + NEAR * abs(cost(best)) + TOLERANCE
     assert active > STEPS // 10

@@ -306,6 +306,7 @@ class Checker:
                 "body": mujoco.mj_jacBody,
                 "geom": mujoco.mj_jacGeom,
             }
+            assert frame.kind is not None
             of = getattr(self._model, frame.kind)(frame.name).id
             kinds[frame.kind](self._model, self._data, jacobian[:3], jacobian[3:], of)
             speeds = np.linalg.norm((jacobian @ v).reshape(2, 3), axis=1).tolist()
@@ -318,6 +319,7 @@ class Checker:
         """Return how far the frames are in front of their planes."""
         heights = []
         for plane in self._planes:
+            assert plane.frame.kind is not None
             of = getattr(self._data, plane.frame.kind)(plane.frame.name)
             normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
             heights.append(normal @ of.xpos - plane.offset)

@@ -212,9 +212,10 @@ class Contract:
         ]
         return np.array(kept, dtype=np.intp).reshape(-1, 2)
 
-    def _geoms(self, name: str, collides: Mask) -> tuple[list[int], bool]:
+    def _geoms(self, name: object, collides: Mask) -> tuple[list[int], bool]:
         """Return the geoms that a name stands for, and whether it is a group's."""
         model, groups = self.model, self.limits.collision.groups  # pyright: ignore
+        assert isinstance(name, str), "the soak names no subtree"
         if name in groups:
             return [g for member in groups[name] for g in self._geoms(member, collides)[0]], True
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)

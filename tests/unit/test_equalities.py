@@ -10,6 +10,7 @@ import pytest
 import rmrc
 from models import config, random_configuration
 from rmrc.problem.evaluation import Evaluation
+from rmrc.problem.tasks.loop import LoopTerm
 from rmrc.qp.assemble import Assembly
 from rmrc.qp.equalities import Equalities, weighed_directions
 
@@ -208,7 +209,9 @@ def test_what_no_loop_names_is_held_by_default_and_noticed(constrained: str) -> 
     names = [name for name in ROWS if name != "belt"]
     loop = {"name": "loop", "type": "loop", "equalities": names}
     problem = rmrc.compile(config(constrained, [loop]))
-    assert problem.named("equalities").equalities == (problem.model.equality("belt").id,)
+    held = problem.named("equalities")
+    assert isinstance(held, LoopTerm)
+    assert held.equalities == (problem.model.equality("belt").id,)
     assert not any("not held" in notice for notice in problem.notices)
     left_open = rmrc.compile(config(constrained, [loop], equalities="off"))
     assert "equality constraints of the model that are not held: 'belt'" in left_open.notices

@@ -92,7 +92,9 @@ def _described(source: Source, scene: str) -> tuple[Source, Path]:
     """Return the file of one of `robot_descriptions`, fetched on first use."""
     name = scene.removeprefix(DESCRIPTIONS)
     try:
-        from robot_descriptions._descriptions import DESCRIPTIONS as KNOWN
+        from robot_descriptions._descriptions import (  # pyright: ignore[reportMissingImports]
+            DESCRIPTIONS as KNOWN,
+        )
     except ImportError:
         raise ModelError(
             f"scene '{scene}' needs the package robot_descriptions: pip install 'rmrc[urdf]'"

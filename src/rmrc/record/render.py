@@ -92,6 +92,7 @@ def render(
         config = Config.model_validate(run.manifest["config"]).rooted(Path(run.manifest["root"]))
         model = scene_of(config).model
         place_mocap_bodies(model, config.start)
+    assert model is not None
     if model.nq != run.q.shape[1]:
         raise RmrcError(f"the model has {model.nq} coordinates and the run {run.q.shape[1]}")
     if not output.parent.is_dir():
