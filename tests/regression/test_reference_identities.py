@@ -331,7 +331,7 @@ def test_the_scale_of_the_jacobian_is_no_singularity(scale: float) -> None:
                 s * J,
                 xdot,
                 0.1 * s,
-                form,
+                form,  # pyright: ignore[reportArgumentType]
                 by,  # pyright: ignore[reportArgumentType]
             )
             for form, by in LU
