@@ -48,7 +48,7 @@ def potential(model: mujoco.MjModel, site: str, task: Any, target: mink.SE3, q: 
 @pytest.mark.parametrize("robot", ROBOTS)
 @seed(12)
 @settings(
-    max_examples=8,
+    max_examples=3,
     deadline=None,
     database=None,
     phases=[Phase.generate],
