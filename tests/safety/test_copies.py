@@ -60,6 +60,14 @@ def test_a_step_is_the_same_after_pickling_and_copying(name: str, engine: Any) -
         alike(copy.copy(step), step)
 
 
+def test_what_was_wrong_with_an_input_goes_along(engine: Any) -> None:
+    controller, _ = stepped("panda_line", engine, 3)
+    step = controller.step(np.full(7, np.nan))
+    again = pickle.loads(pickle.dumps(step))
+    assert again.reasons == step.reasons
+    assert "q[0] is nan" in again.reasons[0]
+
+
 def test_a_deep_copy_has_arrays_of_its_own(engine: Any) -> None:
     _, steps = stepped("panda_line", engine, 3)
     other = copy.deepcopy(steps[-1])

@@ -53,15 +53,6 @@ SCENES: dict[str, tuple[str, list[float]]] = {
 }
 
 
-@pytest.fixture(params=["python", "native"])
-def engine(request: pytest.FixtureRequest) -> Any:
-    if request.param == "native":
-        pytest.importorskip(
-            "rmrc._native", reason="the native extension is not built", exc_type=ImportError
-        )
-    return request.param
-
-
 def native() -> Any:
     """Return the choice of the native engine; without it the test is skipped."""
     pytest.importorskip(

@@ -146,7 +146,8 @@ class Contract:
                 if not inside and max(low, least) <= min(high, most):
                     low, high = max(low, least), min(high, most)
             dof = model.jnt_dofadr[joint]
-            lower[dof], upper[dof] = low + limit.margin, high - limit.margin
+            margin = limit.margin if low < high else 0.0  # where it has to stand
+            lower[dof], upper[dof] = low + margin, high - margin
         return lower, upper, balls
 
     def _velocities(self) -> Array:

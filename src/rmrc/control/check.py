@@ -54,11 +54,12 @@ def check(config: Config) -> list[str]:
     lines += controller.notices
     lines += shortcomings(problem)
     lines += build_execution(problem).notices
+    lines += [*_at_limits(problem), *_too_near(problem), *_slow_rows(problem, controller)]
+    evaluation = controller.engine.evaluation
+    evaluation.update(problem.start)
+    evaluation.evaluate()
     return [
         *lines,
-        *_at_limits(problem),
-        *_too_near(problem),
-        *_slow_rows(problem, controller),
         *_curvature(problem, controller),
         *_slow_levels(problem, controller),
         *unfinished(aims, config),
@@ -127,11 +128,12 @@ def _slow_rows(problem: Problem, controller: Controller) -> list[str]:
 
 
 def _curvature(problem: Problem, controller: Controller) -> list[str]:
-    """Return what the curvature of the tasks adds to λ² at the start, a tenth off their targets."""
+    """Return what the curvature of the tasks adds to λ² at the start, a tenth off their targets.
+
+    They have been evaluated there.
+    """
     assembly, evaluation = controller.engine.assembly, controller.engine.evaluation
     lines, model = [], problem.model
-    evaluation.update(problem.start)
-    evaluation.evaluate()
     for term in assembly.curvature.ways:
         added = np.zeros(problem.dofs.size)
         for row in range(*evaluation.rows_of([term]).indices(evaluation.error.size)):
@@ -154,7 +156,8 @@ def _curvature(problem: Problem, controller: Controller) -> list[str]:
 
 
 def _slow_levels(problem: Problem, controller: Controller) -> list[str]:
-    """Return which lower levels λ² slows down by more than half, at the start.
+    """Return which lower levels λ² slows down by more than half, at the start, where they have
+    been evaluated.
 
     Where the levels above leave a task free its error decays at K s/(s + λ²), with s an eigenvalue
     of JᵀBJ; of the joints' own, s = B.
@@ -163,8 +166,6 @@ def _slow_levels(problem: Problem, controller: Controller) -> list[str]:
     if problem.config.method != "qp":
         return []
     evaluation, lines = controller.engine.evaluation, []
-    evaluation.update(problem.start)
-    evaluation.evaluate()
     for term in evaluation.terms:
         if term.hard or term.preserve or not term.level or not term.gain:
             continue

@@ -151,7 +151,7 @@ class Moment:
         rows = self._rows and self._rows.packed(self.engine.rows)
         return Packed(
             *(self.engine.problem, self.q, self.v_previous, self.a_previous, self.dt),
-            *(self._kept, rows, self.share),
+            *(self._kept, rows, self.share, self.invalid),
         )
 
     def named_row(self, row: int) -> tuple[str, str, float, float]:
@@ -204,6 +204,7 @@ class Packed(NamedTuple):
     kept: Kept
     rows: PackedRows | None
     share: float
+    invalid: tuple[str, ...]
 
     def unpacked(self) -> Moment:
         """Return the moment with an engine for the problem, the same one for all of its steps."""
@@ -215,7 +216,7 @@ class Packed(NamedTuple):
         rows = self.rows and self.rows.unpacked(engine.rows)
         return Moment(
             *(engine, self.q, self.v_previous, self.a_previous, self.dt),
-            *(self.kept, rows, self.share),
+            *(self.kept, rows, self.share, self.invalid),
         )
 
 

@@ -102,9 +102,8 @@ class _Compiler:
         dofs = self._try(("dofs",), lambda: _dofs(objects, config.dofs))
         metric = self._try(("metric",), lambda: _metric(model, config))
         box, notices = compile_box(objects, config.limits, mistakes, scene.velocity)
-        for term in terms:
-            if isinstance(term, FreezeTerm):
-                box.velocity[term.dofs] = 0.0
+        for frozen in (term.dofs for term in terms if isinstance(term, FreezeTerm)):
+            box.velocity[frozen] = 0.0
         terms = tuple(term.within(box.lower, box.upper) for term in terms)
         moving = np.flatnonzero(~objects.dofs) if dofs is None else dofs
         notices += self._unmoved(model, terms, set(moving.tolist()))
@@ -118,11 +117,7 @@ class _Compiler:
         self._stop_on_mistakes()
         assert dofs is not None
         assert metric is not None
-        inertia = float(config.metric == "inertia") + sum(
-            term.inertia * config.soft_ratio**term.level
-            for term in terms
-            if isinstance(term, KineticEnergyTerm)
-        )
+        inertia = _share_of_inertia(config, terms)
         strict, solver, timeout = config.priority == "strict", config.solver, config.timeout
         return Problem(
             config=config,
@@ -273,6 +268,15 @@ class _Compiler:
                 )
             )
         return tuple(term for term in made if term is not None)
+
+
+def _share_of_inertia(config: Config, terms: tuple[Term, ...]) -> float:
+    """Return the share of M(q) in A."""
+    return float(config.metric == "inertia") + sum(
+        term.inertia * config.soft_ratio**term.level
+        for term in terms
+        if isinstance(term, KineticEnergyTerm)
+    )
 
 
 def _damping_notices(config: Config, metric: bool) -> list[str]:

@@ -188,9 +188,8 @@ class Collision(Barrier):
                 self._room[0] = min(self._room[0], self._bound[pair] - self._threshold[pair])
         ids = self._active.nonzero()[0]
         normals = self._directions(data, ids)
-        for pair, normal in zip(ids.tolist(), normals, strict=True):
-            if self._distance[pair] > self._touching:
-                self._contacts.see(data, pair, self._segments[pair], normal)
+        apart = self._distance[ids] > self._touching
+        self._contacts.see(data, ids[apart], self._segments[ids[apart]], normals[apart])
         return self._at(data, ids, self._segments[ids], normals, self._distance[ids])
 
     def _at(
@@ -203,15 +202,11 @@ class Collision(Barrier):
 
     def kept(self, data: mujoco.MjData) -> Near:
         """Return the points of active pairs that were nearest before, and are near still."""
-        found = [
-            (pair, *kept)
-            for pair in self._active.nonzero()[0].tolist()
-            if self._distance[pair] > self._touching
-            for kept in self._contacts.kept(data, pair)
-        ]
-        if not found:
+        active = self._active.nonzero()[0]
+        active = active[self._distance[active] > self._touching]
+        ids, segments, normals, distance = self._contacts.kept(data, active)
+        if not ids.size:
             return self._none
-        ids, segments, normals, distance = (np.array(parts) for parts in zip(*found, strict=True))
         np.maximum(distance, self._distance[ids], out=distance)
         near = distance < LEAVE * self._thresholds(ids)
         return self._at(data, ids[near], segments[near], normals[near], distance[near])

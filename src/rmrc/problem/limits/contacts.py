@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
 
 KEPT = 3
 """Points of a pair that are kept beside the nearest: with it they are the corners of a face."""
@@ -22,7 +23,7 @@ class Contacts:
     place on a face: the distance is that of a point and a plane, whose normal stands in one geom.
     """
 
-    def __init__(self, geoms: NDArray[np.intp], base: NDArray[np.intp], apart: Array):
+    def __init__(self, geoms: Ids, base: Ids, apart: Array):
         self._geoms, self._base = geoms, base
         self.apart = apart
         """The way (p,) that the nearest points do not jump where they only slide, m."""
@@ -31,15 +32,26 @@ class Contacts:
         self.count = np.zeros(len(geoms), dtype=np.intp)
         """How many there are (p,)."""
 
-    def see(self, data: mujoco.MjData, pair: int, segment: Array, normal: Array) -> None:
-        """Take the points (6,) that are the nearest of a pair now, with their normal (3,)."""
-        points, count = self.points[pair], int(self.count[pair])
-        now = np.empty(9)
-        for side, geom in enumerate(self._geoms[pair].tolist()):
+    def see(self, data: mujoco.MjData, ids: Ids, segments: Array, normals: Array) -> None:
+        """Take the points (k, 6) that are the nearest of pairs (k,) now, with their normals."""
+        now = np.empty((ids.size, 9))
+        for side, geoms in enumerate(self._geoms[ids].T):
             three = slice(3 * side, 3 * side + 3)
-            now[three] = _turned(_axes(data, geom).T, segment[three] - data.geom_xpos[geom])
-        now[6:] = _turned(_axes(data, self._base[pair]).T, normal)
-        if count and not self._same(pair, now, points[0]):
+            now[:, three] = _turned_back(data, geoms, segments[:, three] - data.geom_xpos[geoms])
+        now[:, 6:] = _turned_back(data, self._base[ids], normals)
+        count = self.count[ids]
+        jumped = (count > 0) & ~self._same(ids, now, self.points[ids, 0])
+        same = self._same(ids[:, None], now[:, None], self.points[ids, 1:])
+        met = (same & (np.arange(1, KEPT + 1) < count[:, None])).any(axis=1)
+        for k in np.flatnonzero(jumped | met).tolist():
+            self._renew(data, int(ids[k]), now[k], bool(jumped[k]))
+        self.points[ids, 0] = now
+        self.count[ids] = np.maximum(self.count[ids], 1)
+
+    def _renew(self, data: mujoco.MjData, pair: int, now: Array, jumped: bool) -> None:
+        """Keep the nearest points of before if they jumped, and none that are those of now."""
+        points, count = self.points[pair], int(self.count[pair])
+        if jumped:
             place = self._place(data, pair)
             points[place] = points[0]
             count = max(count, place + 1)
@@ -50,26 +62,28 @@ class Contacts:
                 points[place] = points[count]
             else:
                 place += 1
-        points[0] = now
-        self.count[pair] = max(count, 1)
+        self.count[pair] = count
 
-    def kept(self, data: mujoco.MjData, pair: int) -> list[tuple[Array, Array, float]]:
-        """Return the kept points of a pair but for the nearest (6,), normals (3,) and distances."""
-        found = []
-        for points in self.points[pair, 1 : max(int(self.count[pair]), 1)]:
-            segment = self._segment(data, pair, points)
-            normal = segment[3:] - segment[:3]
-            distance = float(np.sqrt((normal * normal).sum()))
-            if distance == 0.0:
-                continue
-            flat = _turned(_axes(data, self._base[pair]), points[6:])
-            height = float((flat * normal).sum())
-            aside = np.sqrt(max(distance * distance - height * height, 0.0))
-            if height > 0.0 and aside <= ASIDE * distance:
-                found.append((segment, flat, height))
-            else:
-                found.append((segment, normal / distance, distance))
-        return found
+    def kept(self, data: mujoco.MjData, ids: Ids) -> tuple[Ids, Array, Array, Array]:
+        """Return the kept points of pairs but for the nearest: the pair of each (m,), the points
+        (m, 6), normals (m, 3) and distances (m,).
+        """
+        counts = np.maximum(self.count[ids], 1) - 1
+        pairs = np.repeat(ids, counts)
+        places = np.arange(pairs.size) - np.repeat(np.cumsum(counts) - counts, counts) + 1
+        points = self.points[pairs, places]
+        segments = self._segments(data, pairs, points)
+        between = segments[:, 3:] - segments[:, :3]
+        distance = np.sqrt((between * between).sum(axis=1))
+        apart = distance > 0.0
+        pairs, points, segments = pairs[apart], points[apart], segments[apart]
+        between, distance = between[apart], distance[apart]
+        flat = _turned(data, self._base[pairs], points[:, 6:])
+        height = (flat * between).sum(axis=1)
+        aside = np.sqrt(np.maximum(distance * distance - height * height, 0.0))
+        slides = (height > 0.0) & (aside <= ASIDE * distance)
+        normals = np.where(slides[:, None], flat, between / distance[:, None])
+        return pairs, segments, normals, np.where(slides, height, distance)
 
     def forget(self) -> None:
         """Keep nothing."""
@@ -83,25 +97,26 @@ class Contacts:
                 return place
         if count <= KEPT:
             return count
-        segments = [self._segment(data, pair, kept) for kept in points[1:]]
-        return 1 + int(np.argmax([((s[3:] - s[:3]) ** 2).sum() for s in segments]))
+        segments = self._segments(data, np.full(KEPT, pair), points[1:])
+        return 1 + int(np.argmax(((segments[:, 3:] - segments[:, :3]) ** 2).sum(axis=1)))
 
-    def _segment(self, data: mujoco.MjData, pair: int, points: Array) -> Array:
-        """Return where kept points are now (6,)."""
-        ends = zip(self._geoms[pair].tolist(), (points[:3], points[3:6]), strict=True)
-        places = [data.geom_xpos[geom] + _turned(_axes(data, geom), at) for geom, at in ends]
-        return np.concatenate(places)
+    def _segments(self, data: mujoco.MjData, pairs: Ids, points: Array) -> Array:
+        """Return where kept points (m, 9) are now (m, 6)."""
+        ends = zip(self._geoms[pairs].T, (points[:, :3], points[:, 3:6]), strict=True)
+        return np.hstack([data.geom_xpos[geoms] + _turned(data, geoms, at) for geoms, at in ends])
 
-    def _same(self, pair: int, one: Array, other: Array) -> bool:
+    def _same(self, pairs: Ids | int, one: Array, other: Array) -> NDArray[np.bool_]:
         """Return whether the points of both geoms are no jump away."""
         square = (one - other) ** 2
-        return max(square[:3].sum(), square[3:6].sum()) <= self.apart[pair] ** 2
+        farther = np.maximum(square[..., :3].sum(axis=-1), square[..., 3:6].sum(axis=-1))
+        return farther <= self.apart[pairs] ** 2
 
 
-def _axes(data: mujoco.MjData, geom: int) -> Array:
-    return data.geom_xmat[geom].reshape(3, 3)
+def _turned(data: mujoco.MjData, geoms: Ids, vectors: Array) -> Array:
+    """Return R v of geoms and vectors (k, 3); by @ the last bit depends on the addresses."""
+    return (data.geom_xmat[geoms].reshape(-1, 3, 3) * vectors[:, None, :]).sum(axis=2)
 
 
-def _turned(axes: Array, vector: Array) -> Array:
-    """Return axes @ vector; by @ the last bit depends on the addresses."""
-    return (axes * vector).sum(axis=1)
+def _turned_back(data: mujoco.MjData, geoms: Ids, vectors: Array) -> Array:
+    """Return Rᵀ v of geoms and vectors (k, 3)."""
+    return (data.geom_xmat[geoms].reshape(-1, 3, 3) * vectors[:, :, None]).sum(axis=1)
