@@ -39,13 +39,14 @@ bool SpeedBall::cut(const double* v, const double* y, double* rows, double* uppe
   double moved[3], multiplier = 0.0;
   const double length = velocity(v, moved);
   for (int k = 0; y != nullptr && k < planes; ++k) multiplier += y[k];
-  if (length <= largest_) {
+  const bool unbent = multiplier > 0.0 && !bent_;
+  if (length <= largest_ && !unbent) {
     const bool idle = curvature_ > 0.0 && !(multiplier > 0.0);
     if (idle) curvature_ = 0.0;  // no ball is in the way, and so no curvature of it
     return idle;
   }
   curvature_ = std::max(multiplier, 0.0) / ((1.0 - inside) * largest_);
-  if (multiplier > 0.0 && !bent_) {
+  if (unbent) {
     bent_ = true;
     std::copy_n(directions_[std::max_element(y, y + planes) - y], 3, direction_);
     return true;

@@ -23,6 +23,7 @@ enum : unsigned {
 };
 
 constexpr double active_multiplier = 1e-7;  // rmrc.control.step.ACTIVE_MULTIPLIER
+constexpr double elsewhere = 10.0;          // rmrc.problem.limits.contacts.ELSEWHERE
 
 }  // namespace
 
@@ -56,12 +57,24 @@ bool Stepper::read(const double* q) {
   return sane;
 }
 
+// Whether q is farther from where the last command led than the joints can have moved since.
+bool Stepper::is_elsewhere(double dt) const {
+  double farthest = 0.0, fastest = 0.0;
+  for (int i = 0; i < engine_.mujoco().nq; ++i) {
+    farthest = std::max(farthest, std::abs(from_[i] - state_.q[i]));
+  }
+  for (const double velocity : engine_.joint_limits().velocity) fastest = std::max(fastest, velocity);
+  return farthest > elsewhere * fastest * dt;
+}
+
 bool Stepper::step(const double* q, double dt, Summary& summary) {
   const MuJoCo& mujoco = engine_.mujoco();
   if (q == nullptr) {
     std::copy_n(state_.q, mujoco.nq, from_.begin());
   } else if (!read(q)) {
     return false;
+  } else if (is_elsewhere(dt)) {
+    engine_.forget_rows();
   }
   std::copy_n(state_.v, mujoco.nv, state_.v_previous);
   const Ending ending = engine_.solve(from_.data(), dt, budget_);

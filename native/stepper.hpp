@@ -79,6 +79,7 @@ class Stepper {
 
  private:
   bool read(const double* q);
+  bool is_elsewhere(double dt) const;
   void carry_out(double dt);
   unsigned flags(Ending ending) const;
 

@@ -204,3 +204,17 @@ def test_what_was_kept_is_forgotten_at_a_reset(engine: Any, tmp_path: Path) -> N
         assert controller.set_target("hand", position=SCENES["wall"][1])
         runs.append(np.array([controller.step().v for _ in range(120)]))
     np.testing.assert_array_equal(*runs)
+
+
+def test_what_was_kept_is_forgotten_where_the_robot_is_put_elsewhere(
+    engine: Any, tmp_path: Path
+) -> None:
+    problem = pressed("wall", tmp_path, None, 0.01)
+    controller = rmrc.Controller(problem, engine)
+    rng = np.random.default_rng(3)
+    barriers = controller.engine.rows.barriers
+    lower, upper = problem.model.jnt_range.T
+    for _ in range(30):
+        controller.step(rng.uniform(lower, upper))
+    kept = sum(barrier.kept(controller.engine.evaluation.data).ids.size for barrier in barriers)
+    assert kept == 0

@@ -133,7 +133,8 @@ class Checker:
         flags = step.flag_bits
         reported = flags >> Status.INVALID_INPUT & 1 or flags >> Status.STALE & 1
         found["reported"] = float(bool(reported) != (moment.invalid or moment.braking))
-        if moment.braking or not moment.rest or flags & HURRIED:
+        contradiction = flags & (1 << Status.RECOVERING | 1 << Status.RELAXED)
+        if moment.braking or not moment.rest or flags & HURRIED or contradiction:
             self._shaking.forget()
         found["shaking"] = self._shaking.update(step.v[self._problem.dofs], moment.dt)
         if moment.braking:

@@ -17,6 +17,7 @@ from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
 from rmrc.errors import ModelError, RmrcError, unknown_name
 from rmrc.problem.frames import names
 from rmrc.problem.limits.box import braked
+from rmrc.problem.limits.contacts import ELSEWHERE
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 
@@ -72,6 +73,7 @@ class Controller:
         self._jerk = bool(np.isfinite(problem.box.jerk).any())
         self._measures = problem.config.previous == "measured"
         self._lag = problem.lag if problem.lag.any() else None
+        self._elsewhere = ELSEWHERE * float(problem.box.velocity.max(initial=0.0))
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
         self.stepper = self.engine.stepper(self._q, self._v)
         """What takes the common steps in the extension; None where Python takes them all."""
@@ -239,6 +241,9 @@ class Controller:
                 seconds, f"dt is {_told(dt)}, and no time of {SHORTEST:g} to {LONGEST:g} s"
             )
         dt = seconds
+        if np.abs(valid - self._q).max() > self._elsewhere * dt:
+            for barrier in self.engine.rows.barriers:
+                barrier.forget()
         previous = self._v.copy()
         if self._measures or self._lag is not None:
             rate = self._rate(q is not None, valid, v, dt)

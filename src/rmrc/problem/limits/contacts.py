@@ -12,6 +12,9 @@ KEPT = 3
 ASIDE = 0.05
 """Share of their distance by which kept points may have slid along each other and still are those
 of a corner and of the face before it."""
+ELSEWHERE = 10.0
+"""Steps at the speed of the fastest joint: where q is farther from where the last command led, the
+robot was put elsewhere, and nearest points that were say nothing of those to come."""
 
 
 class Contacts:

@@ -63,13 +63,14 @@ class _Ball:
         """
         moved, length = self.velocity(v)
         multiplier = 0.0 if y is None else float(y.sum())
-        if length <= self.largest:
+        unbent = multiplier > 0.0 and not self._bent
+        if length <= self.largest and not unbent:
             idle = self.curvature > 0.0 and not multiplier > 0.0
             if idle:  # no ball is in the way, and so no curvature of it
                 self.curvature = 0.0
             return idle
         self.curvature = max(multiplier, 0.0) / ((1.0 - INSIDE) * self.largest)
-        if multiplier > 0.0 and y is not None and not self._bent:
+        if unbent and y is not None:
             self._bent = True
             self._direction = self._directions[int(y.argmax())].copy()
             return True
@@ -96,12 +97,13 @@ class SpeedRows:
     """Rows uᵀ J v ≤ ρ that keep ‖J v‖ ≤ V for the linear and the angular half of a frame.
 
     Each is a plane that touches a ball of ρ = (1 − 10⁻⁴) V. The first two touch it where the last
-    command moves the frame to, and where the task wants it to go. Where the optimum passes V all
-    the same, the program is solved again with the curvature of the ball, μ = y/ρ across u for the
-    multiplier y of the planes, and then with a further plane along J v and its curvature, until it
-    is inside: Newton's method (sequential quadratic programming) on outer planes (Kelley 1960).
-    Where J v is along u the curvature has no part in the optimum, which is that of the ball. A
-    plane that is not there is a row of zeros without a limit.
+    command moves the frame to, and where the task wants it to go. Where one of them binds, the
+    program is solved again with the curvature of the ball, μ = y/ρ across u for the multiplier y of
+    the planes: without it the optimum lies anywhere on the plane inside V, and the command shakes
+    along it. Where the optimum passes V all the same, a further plane along J v follows with its
+    curvature, until it is inside: Newton's method (sequential quadratic programming) on outer
+    planes (Kelley 1960). Where J v is along u the curvature has no part in the optimum, which is
+    that of the ball. A plane that is not there is a row of zeros without a limit.
     """
 
     def __init__(self, limit: FrameSpeed, data: mujoco.MjData, nv: int):
