@@ -1,7 +1,9 @@
 """Whatever file a robot comes in, it loads; what cannot be had is left out and said."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import mujoco
 import numpy as np
@@ -277,3 +279,54 @@ def test_a_wrong_name_suggests_every_type_of_file(tmp_path: Path, urdf: Urdf) ->
     ):
         load_scene("robot.xml", tmp_path)
     assert load_scene(str(tmp_path), HERE).model.nv == 3  # the scene.xml of a folder
+
+
+def test_of_what_is_there_twice_the_first_counts(urdf: Urdf) -> None:
+    twice = ARM.replace("<axis", '<axis xyz="0 0 1"/><axis', 1)
+    scene = load_scene(str(urdf(twice)), HERE)
+    np.testing.assert_allclose(scene.model.joint("j1").axis, [0, 0, 1])
+    assert any("joint 'j1' has a second <axis>" in notice for notice in scene.notices)
+
+
+def test_a_scene_is_read_again_when_what_it_includes_changes(tmp_path: Path) -> None:
+    inner, outer = tmp_path / "arm.xml", tmp_path / "scene.xml"
+    arm = '<mujoco><worldbody><body><joint name="{}"/><geom size=".1"/></body></worldbody></mujoco>'
+    inner.write_text(arm.format("hip"))
+    outer.write_text('<mujoco><include file="arm.xml"/></mujoco>')
+    assert load_scene(str(outer), HERE).model.joint(0).name == "hip"
+    inner.write_text(arm.format("knee"))
+    assert load_scene(str(outer), HERE).model.joint(0).name == "knee"
+
+
+def test_a_mesh_of_no_valid_scale_is_left_out_and_said(urdf: Urdf) -> None:
+    wrong = with_mesh("part.stl").replace("<mesh ", '<mesh scale="1 1 1 1" ')
+    scene = load_scene(str(urdf(wrong)), HERE)
+    assert scene.model.nmesh == 0
+    assert any("is to be 3 numbers: the mesh is left out" in notice for notice in scene.notices)
+
+
+@pytest.mark.parametrize("ending", [".dae", ".glb"])
+def test_meshes_of_other_kinds_are_converted(urdf: Urdf, tmp_path: Path, ending: str) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    if ending == ".dae":
+        pytest.importorskip("collada")
+    path = urdf(with_mesh(f"part{ending}"))
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(path.parent / f"part{ending}")
+    scene = load_scene(str(path), HERE)
+    assert scene.left_out == {}
+    box = np.ptp(scene.model.mesh_vert, axis=0)
+    np.testing.assert_allclose(np.sort(box), [0.1, 0.2, 0.3], atol=1e-6)
+
+
+def test_robots_of_robot_descriptions_are_found(
+    urdf: Urdf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("robot_descriptions")
+    found = ModuleType("robot_descriptions.ur5e_description")
+    found.__dict__["URDF_PATH"] = str(urdf(ARM))  # that of the package fetches a repository
+    monkeypatch.setitem(sys.modules, found.__name__, found)
+    monkeypatch.setitem(sys.modules, "robot_descriptions.ur5e_mj_description", None)
+    scene = load_scene("robot_descriptions:ur5e_description", HERE)
+    assert scene.velocity == {"j1": 0.5, "j2": 0.5}
+    with pytest.raises(ModelError, match=r"ur5f' does not exist.*'ur5e'"):
+        load_scene("robot_descriptions:ur5f", HERE)

@@ -1,6 +1,7 @@
 """From the name of a scene to its file."""
 
 import importlib
+import re
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
@@ -15,6 +16,8 @@ ENDINGS = (".xml", ".mjcf", ".urdf", ".xacro")
 """Of files that are scenes."""
 LARGEST_SCENE = 10_000_000
 """Bytes of a scene file; meshes are files of their own. MuJoCo takes minutes for a larger one."""
+
+_INCLUDE = re.compile(rb"<(?:xacro:)?include\s[^>]*?file(?:name)?\s*=\s*[\"']([^\"']+)")
 
 
 def located(source: Source, root: Path) -> tuple[Source, Path]:
@@ -34,6 +37,21 @@ def located(source: Source, root: Path) -> tuple[Source, Path]:
     if name.startswith(DESCRIPTIONS):
         return _described(source, name)
     return source, _file_path(name, root)
+
+
+def included(path: Path) -> list[Path]:
+    """Return a file and all that it includes, as far as they are there, each once."""
+    found, waiting = [path], [path]
+    while waiting:
+        including = waiting.pop()
+        for name in _INCLUDE.findall(including.read_bytes()):
+            # MuJoCo looks beside the file that is loaded, xacro beside the one that includes.
+            for folder in (path.parent, including.parent):
+                other = (folder / name.decode("utf-8", "replace")).resolve()
+                if other not in found and other.is_file():
+                    found.append(other)
+                    waiting.append(other)
+    return found
 
 
 def _file_path(scene: str, root: Path) -> Path:
@@ -102,7 +120,8 @@ def _described(source: Source, scene: str) -> tuple[Source, Path]:
     candidates = (name, f"{name}_mj_description", f"{name}_description")
     module = next((candidate for candidate in candidates if candidate in KNOWN), None)
     if module is None:
-        raise ModelError(f"scene '{scene}' does not exist{instead(name, sorted(KNOWN))}")
+        short = {known.removesuffix("_description").removesuffix("_mj") for known in KNOWN}
+        raise ModelError(f"scene '{scene}' does not exist{instead(name, sorted(short))}")
     try:
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             found: Any = importlib.import_module(f"robot_descriptions.{module}")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rmrc.errors import ModelError
 from rmrc.model.keyframes import Keyframe, home_of, take_keyframes
-from rmrc.model.locate import located
+from rmrc.model.locate import included, located
 from rmrc.model.located import root_tag
 from rmrc.model.meshes import Assets
 from rmrc.model.offsets import add_sites, place_sites
@@ -93,10 +93,10 @@ def _is_xml(source: Source) -> bool:
 
 
 def _stamp(source: Source, root: Path) -> tuple[int, ...]:
-    """Return when the files of a scene were changed."""
+    """Return when the files of a scene were changed, those that they include among them."""
     parts = (stamp for part in source.attach for stamp in _stamp(part.source, root))
-    own = 0 if _is_xml(source) else located(source, root)[1].stat().st_mtime_ns
-    return (own, *parts)
+    own = [] if _is_xml(source) else included(located(source, root)[1])
+    return (*(path.stat().st_mtime_ns for path in own), *parts)
 
 
 @lru_cache(maxsize=8)

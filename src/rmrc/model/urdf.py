@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 _SCALAR = ("revolute", "continuous", "prismatic")
 _TYPES = (*_SCALAR, "fixed", "floating", "planar", "spherical", "ball")
+_PER_LINK = ("inertial",)
+_PER_JOINT = ("origin", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration")
 _COMPILER = {"fusestatic": "false", "strippath": "false", "discardvisual": "false"}
 
 
@@ -96,8 +98,10 @@ class _Reader:
                 f"{self._file}: this robot has no <link>: it is a part that others include"
             )
         for link, element in self._links.items():
+            self._keep_first("link", link, element, _PER_LINK)
             self._read_link(link, element)
         for joint, element in self._joints.items():
+            self._keep_first("joint", joint, element, _PER_JOINT)
             self._read_joint(joint, element)
         self._mimic()
         self._set_compiler()
@@ -149,6 +153,17 @@ class _Reader:
             by[child] = joint
             yield child, (parent, joint)
 
+    def _keep_first(self, kind: str, name: str, element: Located, tags: tuple[str, ...]) -> None:
+        """Take out what may be there once and is there again, as other readers do."""
+        for tag in tags:
+            for again in element.findall(tag)[1:]:
+                assert isinstance(again, Located)
+                element.remove(again)
+                self._said.notices.append(
+                    f"{self._file}:{again.line}: {kind} '{name}' has a second <{tag}>, "
+                    "which is left out"
+                )
+
     def _read_link(self, name: str, link: Located) -> None:
         where = self._where("link", name)
         inertial = first(link, "inertial")
@@ -172,7 +187,11 @@ class _Reader:
     def _is_shape(self, shape: Located, where: str) -> bool:
         """Return whether a geometry is one that MuJoCo reads; a mesh gets a name of its own."""
         if shape.tag == "mesh":
-            scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
+            try:
+                scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
+            except ModelError as mistake:
+                self._said.notices.append(f"{mistake}: the mesh is left out")
+                return False
             shape.set("scale", " ".join(f"{value!r}" for value in scale))
             uri = shape.get("filename")
             if not uri or not all(scale):
