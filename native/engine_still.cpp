@@ -79,13 +79,13 @@ bool Engine::is_still() const {
 // What the hard tasks ask for: near a singularity those that bend are a cost, above all others.
 void Engine::update_equalities() {
   softened_ = false;
-  equalities_->update(false);
+  equalities_->update(false, program_.lb);
   const bool any = std::any_of(rows_.begin(), rows_.end(),
                                [](const auto& term) { return term->is_hard(); });
   if (!any || !is_still() || !cannot_hold()) return;
   softened_ = true;
   if (cascade_ == nullptr) soften();
-  equalities_->update(true);
+  equalities_->update(true, program_.lb);
 }
 
 // Whether E v = f has no v, or one at which V may rise, cut to the velocity limits, or one near a

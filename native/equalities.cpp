@@ -47,11 +47,11 @@ Equalities::Equalities(const Stack& stack, const double* rate, int nv, std::vect
       reduction_(capacity_, static_cast<int>(dofs_.size()), 1),
       wanted_(longest_of(terms_)) {}
 
-void Equalities::update(bool without_bending) {
+void Equalities::update(bool without_bending, const double* lower) {
   const int n = static_cast<int>(dofs_.size());
   int rows = 0;
   for (const HardTerm& term : terms_) {
-    if (!(without_bending && term.bends)) rows = stack_up(term, rows);
+    if (!(without_bending && term.bends)) rows = stack_up(term, rows, lower);
   }
   count_ = reduction_.reduce(rows, n, rank_share);
   for (int r = 0; r < count_; ++r) {
@@ -76,7 +76,7 @@ void Equalities::least_norm(double* v) const {
 }
 
 // Write the rows of a task and what it asks for, and return where the next one's begin.
-int Equalities::stack_up(const HardTerm& term, int at) {
+int Equalities::stack_up(const HardTerm& term, int at, const double* lower) {
   const int n = static_cast<int>(dofs_.size()), count = directions_of(term);
   ask(term, wanted_.data());
   const double* direction = term.directions.data();
@@ -88,11 +88,13 @@ int Equalities::stack_up(const HardTerm& term, int at) {
       const double* own = stack_.jacobian + (term.first + k) * nv_;
       for (int i = 0; i < n; ++i) row[i] += direction[k] * own[dofs_[i]];
     }
-    for (int i = 0; i < n; ++i) {
-      if (still_[i]) row[i] = 0.0;
-      else if (term.joint) row[i] = direction[dofs_[i]];
-    }
     row[n] = dot(direction, wanted_.data(), term.rows);
+    for (int i = 0; i < n; ++i) {
+      if (term.joint) row[i] = direction[dofs_[i]];
+      if (!still_[i]) continue;
+      row[n] -= row[i] * lower[i];  // what it still moves while it brakes to rest
+      row[i] = 0.0;
+    }
   }
   return at + count;
 }

@@ -30,7 +30,8 @@ class Equalities {
              std::vector<char> still, std::vector<HardTerm> terms, const EqualityArrays& arrays);
 
   /// Find E and f at the present evaluation, for ẋ of all terms, or of those that do not bend.
-  void update(bool without_bending);
+  /// The dofs that are to stand still move at the lower bounds lb (n,), which are the upper ones.
+  void update(bool without_bending, const double* lower);
 
   /// Write the shortest v (n,) with E v = f.
   void least_norm(double* v) const;
@@ -43,7 +44,7 @@ class Equalities {
   bool inconsistent() const { return inconsistent_; }
 
  private:
-  int stack_up(const HardTerm& term, int at);
+  int stack_up(const HardTerm& term, int at, const double* lower);
   void ask(const HardTerm& term, double* wanted) const;
 
   const Stack& stack_;

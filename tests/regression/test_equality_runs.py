@@ -6,6 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import scipy.linalg
 
 import rmrc
 from models import config
@@ -53,6 +54,34 @@ def test_the_four_bar_turns_and_stays_closed(
     assert max(four_bar_gap(problem, q) for q in run.q[::7]) < CLOSED
     assert run.error["chain"].max() < CLOSED
     assert set(run.summary["status"]) == {"OK"}
+
+
+@pytest.mark.parametrize("engine", ["python", "native"])
+def test_a_chain_stays_closed_while_a_frozen_joint_brakes(repository: Path, engine: Any) -> None:
+    problem = compiled(
+        repository,
+        "four_bar",
+        [{**LOOP, "gain": "deadbeat"}, {"type": "freeze", "name": "still", "joints": ["rocker"]}],
+        limits={"acceleration": {"default": 50.0, "rocker": 3.0}},
+        start="home",
+        dt=0.001,
+    )
+    data = mujoco.MjData(problem.model)
+    data.qpos = problem.start
+    mujoco.mj_forward(problem.model, data)
+    pinned = data.efc_J.reshape(-1, problem.model.nv)[: data.ne]
+    moving = scipy.linalg.null_space(pinned, rcond=1e-6)[:, 0]
+    controller = rmrc.Controller(problem, engine)
+    controller.reset(problem.start, v=0.1 * moving / moving[2])  # the rocker turns at 0.1 rad/s
+    for _ in range(20):
+        step = controller.step()
+        assert not step.flags & {rmrc.Status.RELAXED}
+        assert four_bar_gap(problem, step.q) < CLOSED
+    assert 0.0 < step.v[2] < 0.1
+    for _ in range(30):
+        step = controller.step()
+    assert abs(step.v[2]) < CERTIFIED
+    assert four_bar_gap(problem, step.q) < CLOSED
 
 
 def test_a_chain_follows_a_path_with_its_coupler(repository: Path) -> None:

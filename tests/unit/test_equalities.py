@@ -389,7 +389,7 @@ def test_a_number_that_is_not_finite_is_left_to_the_program(repository: Path) ->
     evaluation = Evaluation(problem)
     found = Equalities(problem, evaluation, evaluation.terms)
     evaluation.jacobian[:] = np.nan
-    found.update(np.zeros(6))
+    found.update(np.zeros(6), np.zeros(problem.dofs.size))
     assert np.isnan(found.matrix).any()
 
 

@@ -353,7 +353,7 @@ class Assembly:
 
         Near a singularity those that bend are a cost instead, above all others and with their X.
         """
-        held = self.yielding.held()
+        held = self.yielding.held(self.qp.lb)
         if self.yielding.softened and not self._problem.cascaded:
             level = self.yielding.level(np.zeros_like(self.qp.H))
             share = self._problem.soft_ratio

@@ -49,7 +49,8 @@ class Equalities:
     With the singular value decomposition of the stack, J = U Σ Vᵀ, the rows handed on are
     E = U_rᵀ J and f = U_rᵀ ẋ for the r singular values that are not zero: of rows that contradict
     one another they are the least-squares compromise, in the rows' own units. A weight only tells
-    which directions of a task are meant. The columns of joints that stand still are zero.
+    which directions of a task are meant. The columns of joints that are to stand still are zero;
+    what they move while they brake to rest is taken off ẋ.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation, terms: Iterable[Term]):
@@ -76,8 +77,11 @@ class Equalities:
         self.least_norm = np.zeros(problem.dofs.size)
         """The shortest v (n,) with E v = f."""
 
-    def update(self, rate: Array) -> None:
-        """Find E and f at the present evaluation for ẋ of all terms."""
+    def update(self, rate: Array, lower: Array) -> None:
+        """Find E and f at the present evaluation for ẋ of all terms, and the lower bounds lb (n,).
+
+        Of a joint that is to stand still lb is ub.
+        """
         evaluation, stack = self._evaluation, self._stack
         for term, part, directions, rows in self._entries:
             if not term.joint:
@@ -86,6 +90,7 @@ class Equalities:
             wanted = term.attainable(evaluation.error[part], rate[part])
             directions.dot(wanted, self._rate[rows])
         if self._still.size:
+            self._rate -= stack[:, self._still] @ lower[self._still]
             stack[:, self._still] = 0.0
         try:
             left, sigma, _ = np.linalg.svd(stack, full_matrices=False)

@@ -68,17 +68,17 @@ class Yielding:
         """Whether no target that a task has a gain for moves."""
         return not self._evaluation.feedforward[self._gained].any()
 
-    def held(self) -> Equalities | None:
-        """Return the equalities of the present step; None without any."""
+    def held(self, lower: Array) -> Equalities | None:
+        """Return the equalities of the present step, with the bounds lb (n,); None without any."""
         self.softened = False
         if self._all is None:
             return None
-        self._all.update(self._rate)
+        self._all.update(self._rate, lower)
         self.softened = self._cannot_hold(self._all)
         if not self.softened:
             return self._all
         if self._firm is not None:
-            self._firm.update(self._rate)
+            self._firm.update(self._rate, lower)
         return self._firm
 
     def _cannot_hold(self, held: Equalities) -> bool:
