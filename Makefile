@@ -35,6 +35,7 @@ test-slow: $(VENV)/test.stamp
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python native/check_includes.py
 	$(BIN)/pyright
 
 bench: $(VENV)/test.stamp
