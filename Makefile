@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 ONE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 # What the extension is built from.
-NATIVE := $(wildcard native/*.cpp native/*.hpp native/CMakeLists.txt)
+NATIVE := $(wildcard native/*/*.cpp native/*/*.hpp native/CMakeLists.txt)
 
 # The stamp is newer than these files when the environment has what the project asks for.
 $(VENV)/demo.stamp: pyproject.toml $(NATIVE)
@@ -35,6 +35,7 @@ test-slow: $(VENV)/test.stamp
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python native/check_includes.py
 	$(BIN)/pyright
 
 bench: $(VENV)/test.stamp

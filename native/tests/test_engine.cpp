@@ -12,10 +12,10 @@
 #include <utility>
 #include <vector>
 
-#include "allocations.hpp"
-#include "batch.hpp"
-#include "stepper.hpp"
-#include "workspace.hpp"
+#include "control/batch.hpp"
+#include "control/stepper.hpp"
+#include "limits/workspace.hpp"
+#include "tests/allocations.hpp"
 
 namespace {
 

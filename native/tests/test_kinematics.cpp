@@ -10,8 +10,8 @@
 #include <utility>
 #include <vector>
 
-#include "allocations.hpp"
-#include "kinematics.hpp"
+#include "kinematics/kinematics.hpp"
+#include "tests/allocations.hpp"
 
 namespace {
 

@@ -10,10 +10,10 @@
 #include <random>
 #include <vector>
 
-#include "allocations.hpp"
-#include "cascade.hpp"
-#include "equalities.hpp"
-#include "loop.hpp"
+#include "solver/cascade.hpp"
+#include "tasks/equalities.hpp"
+#include "tasks/loop.hpp"
+#include "tests/allocations.hpp"
 
 namespace {
 

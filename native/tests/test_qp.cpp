@@ -8,9 +8,9 @@
 #include <random>
 #include <vector>
 
-#include "allocations.hpp"
-#include "least_violation.hpp"
-#include "qp.hpp"
+#include "solver/least_violation.hpp"
+#include "solver/qp.hpp"
+#include "tests/allocations.hpp"
 
 namespace {
 

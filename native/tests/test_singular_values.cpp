@@ -7,8 +7,8 @@
 #include <random>
 #include <vector>
 
-#include "allocations.hpp"
-#include "singular_values.hpp"
+#include "solver/singular_values.hpp"
+#include "tests/allocations.hpp"
 
 namespace {
 

@@ -13,8 +13,12 @@ import pytest
 from models import REPOSITORY
 from rmrc.control.step import Status
 
-SOURCES = sorted((REPOSITORY / "native").glob("*.[ch]pp"))
-CONSTANT = re.compile(r"^constexpr (?:double|int|unsigned) (\w+)(?:\[\d*\])? = ([^;]+);(.*)$")
+SOURCES = sorted(
+    path for path in (REPOSITORY / "native").glob("*/*.[ch]pp") if path.parent.name != "tests"
+)
+CONSTANT = re.compile(
+    r"^(?:static )?constexpr (?:double|int|unsigned) (\w+)(?:\[\d*\])? = ([^;]+);(.*)$"
+)
 NAMED = re.compile(r"\brmrc((?:\.\w+)+)\.([A-Z][A-Z_]+)\b")
 LISTED = re.compile(r"\brmrc((?:\.[a-z_]+)+): ([A-Z][A-Z_, and]+)")
 MODULE = re.compile(r"^// rmrc((?:\.[a-z_]+)+)$")

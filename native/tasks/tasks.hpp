@@ -1,0 +1,320 @@
+// The terms of the cost: errors, Jacobians and feed-forwards, as rmrc.problem.tasks defines them.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "kinematics/mujoco.hpp"
+
+namespace rmrc {
+
+/// out = v + ω × (p − o) (3,), of a twist [v; ω] about o.
+void velocity_at(const double* twist, const double* origin, const double* point, double* out);
+
+/// What the terms of a problem write into and read from, arrays of Python's.
+struct Stack {
+  double* error;        // e of all terms
+  double* feedforward;  // ẋ_ff of all terms
+  double* jacobian;     // J of the terms with rows (row_count, nv)
+  const double* v_previous;  // (nv,)
+  const int* place;          // column of each dof in the program (nv,); −1 where it stands still
+  int errors = 0, rows = 0;  // how long e is, and how many rows J has
+};
+
+/// A part of an error that acts on its task only up to a length.
+struct Clamp {
+  int first, count;
+  double longest;
+};
+
+/// What all terms have.
+struct TermData {
+  int first, rows;             // where the term's error stands, and its length
+  double gain;                 // K, 1/s
+  const double* target;
+  const double* twist;         // the target's own velocity (6,)
+  const std::uint8_t* moving;  // whether it has one
+  std::vector<Clamp> clamps;
+};
+
+/// A site, body or geom: where MuJoCo writes its pose, and what moves it.
+struct Frame {
+  const double* position;   // (3,)
+  const double* rotation;   // (9,)
+  const double* reference;  // (3,): the origin of its tree's root, which cdof and `carrier` refer to
+  std::vector<int> dofs;
+  const double* carrier = nullptr;  // velocity (6,) of the mocap body that its tree stands on
+};
+
+/// A dof on the way from the world to what a term draws.
+struct WayJoint {
+  int dof;
+  int before;   // the place in the way of the one right before it, −1 for none
+  bool turns;   // whether it is a hinge
+  double unit;  // 1, or the length that a slide's rate is measured in
+};
+
+/// A term with a Jacobian of its own, over the columns of the dofs that move it.
+class RowTerm {
+ public:
+  /// `root` is S with B = SᵀS: (rows,) a diagonal or (rows, rows); `dofs` are in ascending order.
+  RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs, const MuJoCo& mujoco,
+          const Stack& stack);
+  virtual ~RowTerm() = default;
+  RowTerm(const RowTerm&) = delete;
+  RowTerm& operator=(const RowTerm&) = delete;
+
+  /// Write e, ẋ_ff and J at the present kinematics, and W = S J.
+  virtual void evaluate();
+
+  /// H ← H + WᵀW, its lower triangle, and g ← g − Wᵀ S ẋ, of a program of n variables.
+  void add_to(double* H, double* g, int n, const double* rate);
+
+  /// Return element r of S x, for x (rows,).
+  double weighed(int r, const double* x) const;
+
+  /// Copy row r of W (n,) into a row of zeros.
+  void copy_row(int r, double* row) const;
+
+  /// Return xᵀBx (rows,).
+  double weighed_square(const double* x) const;
+
+  /// Return element r of J v, for v of the program (n,).
+  double rate_of(int r, const double* v) const;
+
+  /// Tell which dofs of the program the error bends with, in their order; of a term that no cost
+  /// draws, with a root of what of its rows counts.
+  void bend(const std::vector<WayJoint>& way, std::vector<double> exact_root);
+
+  /// Whether no cost draws the term: J v = ẋ, or along ẋ.
+  bool exact() const { return !exact_root_.empty(); }
+
+  /// Return Σ (B ẋ)ᵀ(J v) and add Σ K dt (J v)ᵀB(J v) to `curved`, for v of the program.
+  double drawn(const double* rate, const double* v, double dt, double& curved);
+
+  /// Write row r of S J (n,), S the root of what of its rows counts; return element r of S ẋ.
+  double exact_row(int r, const double* rate, double* row) const;
+
+  /// Return uᵀCu for a motion u of the program, at x (rows,) of S x: rmrc.qp.curvature.
+  double bent(const double* x, const double* u);
+
+  /// X ← X + max(dt K, least) times the row sums of |C| (n,), at ẋ: rmrc.qp.curvature.
+  void add_curvature(const double* rate, double dt, double least, double* X);
+
+  /// Write the true errors (2,), the distance and the angle, or one number twice.
+  virtual void measure(double* measures) const;
+
+  /// driven ← driven + Wᵀ S x and way ← way + Wᵀ S x / gain (n,), for x = ẋ less its feed-forward.
+  void pull(const double* rate, double gain, double* driven, double* way);
+
+  /// Whether the term has a weight.
+  bool counts() const { return counts_; }
+
+  /// Whether X has a part of the term's.
+  bool bends() const { return !way_.empty() && counts_ && !exact(); }
+
+  /// Whether the term bends and is hard: it has no weight in the cost.
+  bool is_hard() const { return exact() && !counts_; }
+
+  /// Whether the term has a way.
+  bool has_way() const { return !way_.empty(); }
+
+  const TermData& data() const { return data_; }
+  const std::vector<double>& root() const { return root_; }
+
+ protected:
+  /// Write e, ẋ_ff where the target moves, and J by `turn` or `column`.
+  virtual void differentiate() = 0;
+
+  /// J_w ← the frame's Jacobian along the world's axes.
+  void move(const Frame& frame);
+
+  /// J_w ← J_w less how a base carries a point along.
+  void carry(const Frame& base, const double* point);
+
+  /// J ← T J_w for T (rows, 6).
+  void turn(const double* T);
+
+  /// Have ẋ_ff written at every step, for a mocap body may carry the frame.
+  void stand_on(const Frame& frame) { carried_ |= frame.carrier != nullptr; }
+
+  /// W = S J.
+  void weigh();
+
+  double* error() { return stack_.error + data_.first; }
+  const double* error() const { return stack_.error + data_.first; }
+  double* feedforward() { return stack_.feedforward + data_.first; }
+  bool moves() const { return *data_.moving != 0; }
+
+  TermData data_;
+  const MuJoCo& mujoco_;
+  const Stack& stack_;
+  std::vector<int> dofs_;  // of the columns: first those that are in the program
+  int stride_;
+  std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
+  std::vector<double> world_;     // J_w (6, stride): how the dofs move the frame
+  bool carried_ = false;           // whether mocap bodies carry any of it
+  std::vector<double> drift_;      // −∂e/∂t (rows,) of the mocap bodies
+  double distance_ = std::numeric_limits<double>::infinity();  // of what the pull turns about, m
+  double carried_by_[6] = {};      // velocity of what mocap bodies carry of it, as J_w
+
+ private:
+  struct WayPoint;
+  void add_turning(const double* force, double* X);
+  void moment(const WayPoint& point, const double* wrench, double* u) const;
+
+  template <int rows>
+  void add_rows(double* H, double* g, int n, int first) const;
+
+  std::vector<double> root_;
+  bool counts_;               // whether anything has a weight
+  std::vector<int> columns_;  // in the program, in ascending order
+  int inside_;                // columns that are in the program
+  std::vector<double> weighted_, wanted_;  // W, and S ẋ
+  std::vector<double> transform_;          // T (rows, 6)
+
+  struct WayPoint {
+    int column;     // of J
+    int before;     // in the way, −1 for none
+    bool turns;     // whether it is a hinge
+    double unit;    // 1, or the length that a slide's rate is measured in
+    double hinges;  // before it
+    double after;   // Σ ‖u_j‖ at and after it
+    double turned[3];  // how fast the dofs up to it turn the frame
+  };
+  std::vector<WayPoint> way_;
+  std::vector<double> exact_root_;
+};
+
+/// e = log(T_bt) and J = Jl⁻¹(e) J_b: a `frame` task along the body's axes.
+class BodyFrame final : public RowTerm {
+ public:
+  BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+            const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  Frame frame_;
+};
+
+/// e = [p_t − p_b; log(R_t R_bᵀ)]: a `frame` task along the world's axes.
+class WorldFrame final : public RowTerm {
+ public:
+  WorldFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
+             const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  Frame frame_;
+};
+
+/// e = −log(T_tf) of a frame in the coordinates of another: a `relative_frame` task.
+class RelativeFrame final : public RowTerm {
+ public:
+  RelativeFrame(TermData data, std::vector<double> root, Frame frame, Frame base,
+                const MuJoCo& mujoco, const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  Frame frame_, base_;
+};
+
+/// e = s (d − a) for an axis a of a frame and the direction d of its target, with the stretch s of
+/// `Stretch`: `look_at`, whose target is a point, and `axis_align`, whose target is a direction.
+class Axis final : public RowTerm {
+ public:
+  Axis(TermData data, std::vector<double> root, Frame frame, const double* axis, bool at_point,
+       const MuJoCo& mujoco, const Stack& stack);
+  void measure(double* measures) const override;
+
+ private:
+  void differentiate() override;
+  void look_at(double* T, double* direction);
+  void align(double* T, double* direction);
+  Frame frame_;
+  double axis_[3];
+  bool at_point_;
+};
+
+/// What a dof moves of a centre of mass: a share of the mass, whose own centre is at `point`.
+struct MovedMass {
+  int dof;
+  double share;
+  const double* point;      // (3,)
+  const double* reference;  // (3,)
+};
+
+/// A subtree, whose share of the mass has its centre at `point`.
+struct Subtree {
+  double share;
+  const double *point, *reference, *carrier;  // of the latter two see `Frame`
+};
+
+/// e = c* − Σ share c_i over subtrees: a `com` task.
+class CentreOfMass final : public RowTerm {
+ public:
+  CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
+               std::vector<Subtree> subtrees, const MuJoCo& mujoco, const Stack& stack);
+
+ private:
+  void differentiate() override;
+  std::vector<MovedMass> moved_;
+  std::vector<Subtree> subtrees_;
+};
+
+/// e = offset − Σ c_i q_i and J = c: a `coupling` task.
+class Coupling final : public RowTerm {
+ public:
+  Coupling(TermData data, std::vector<double> root, std::vector<double> by_coordinate,
+           const std::vector<double>& by_dof, double offset, const MuJoCo& mujoco,
+           const Stack& stack);
+
+ private:
+  void differentiate() override;
+  std::vector<double> by_coordinate_;
+  double offset_;
+};
+
+/// Rows whose e, ẋ_ff and J others write into the stack, before `read`.
+class ForeignRows final : public RowTerm {
+ public:
+  ForeignRows(TermData data, std::vector<double> root, const MuJoCo& mujoco, const Stack& stack);
+
+  void evaluate() override {}
+
+  /// Take J over from the stack, and weigh it.
+  void read();
+
+ private:
+  void differentiate() override {}
+};
+
+/// What a term on the joints themselves asks for; e and ẋ_ff of a foreign one are written by others.
+enum class JointTask { posture, velocity, smooth, foreign };
+
+/// A term whose Jacobian is the identity; its weight is in the constant part of H.
+struct JointTerm {
+  TermData data;
+  JointTask task;
+  std::vector<double> weight;  // B: (nv,) a diagonal or (nv, nv)
+  std::vector<int> wrapped;    // dofs of a posture that take the short way round
+
+  /// Write e and ẋ_ff.
+  void evaluate(const MuJoCo& mujoco, const Stack& stack) const;
+
+  /// Return element i of B x (nv,).
+  double weighed(int i, const double* x) const;
+
+  /// Whether the term has a weight.
+  bool counts() const;
+
+  /// gradient ← gradient − B ẋ (nv,).
+  void add_to(double* gradient, const double* rate) const;
+};
+
+}  // namespace rmrc
