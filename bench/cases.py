@@ -10,8 +10,8 @@ import numpy as np
 
 import rmrc
 from peers.descriptions import ROBOT, write_robot
-from rmrc.problem.limits.collision import CollisionPairs
-from rmrc.problem.limits.joints import HINGE_SPEED
+from rmrc.limits.collision import CollisionPairs
+from rmrc.limits.joints import HINGE_SPEED
 from rmrc.problem.problem import Problem
 from timing import REPOSITORY
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import rmrc
-from rmrc.control.methods import METHODS
+from rmrc.engine.closed_form import METHODS
 
 SCENE = str(Path(__file__).resolve().parent.parent / "scenes" / "panda.xml")
 WARM_UP, STEPS, RUN = 500, 3000, 50

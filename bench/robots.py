@@ -22,13 +22,13 @@ import mujoco
 import numpy as np
 
 import rmrc
-from rmrc.control.init import init_scene
-from rmrc.control.inspect import inspect
+from rmrc.config.compiled_scene import scene_of
 from rmrc.errors import RmrcError
+from rmrc.model.frames import resolve
 from rmrc.model.located import root_tag
-from rmrc.problem.frames import resolve
-from rmrc.problem.objects import Objects, bodies_of_equality
-from rmrc.problem.scene import scene_of
+from rmrc.model.objects import Objects, bodies_of_equality
+from rmrc.runs.init import init_scene
+from rmrc.runs.inspect import inspect
 
 HERE = Path(__file__).parent
 ENVIRONMENT = HERE / "peers" / ".venvs" / "packages"

@@ -8,7 +8,7 @@ namespace rmrc {
 namespace {
 
 // Up to this angle, rad, closed forms lose digits and six terms of a series have them all:
-// rmrc.problem.lie.
+// rmrc.model.lie.
 constexpr double small = 0.5;
 
 // c(θ) = (1 − ½θ cot ½θ)/θ² and c′(θ)/θ.

@@ -23,7 +23,7 @@ enum : unsigned {
 };
 
 constexpr double active_multiplier = 1e-7;  // rmrc.control.step.ACTIVE_MULTIPLIER
-constexpr double elsewhere = 10.0;          // rmrc.problem.limits.contacts.ELSEWHERE
+constexpr double elsewhere = 10.0;          // rmrc.limits.contacts.ELSEWHERE
 
 }  // namespace
 

@@ -7,7 +7,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.correct: ENOUGH, SPARE and INSIDE; and rmrc.qp.rows.FASTEST.
+// rmrc.engine.correction: ENOUGH, SPARE and INSIDE; and rmrc.qp.rows.FASTEST.
 constexpr double enough = 1.1;
 constexpr double spare = 0.1;
 constexpr double inside = 1e-7;

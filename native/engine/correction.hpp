@@ -7,7 +7,7 @@
 
 namespace rmrc {
 
-/// Asks rows for what a command fell short of where it leads: rmrc.control.correct.
+/// Asks rows for what a command fell short of where it leads: rmrc.engine.correction.
 class Correction {
  public:
   explicit Correction(const Rows& rows) : rows_(rows), raised_(rows.capacity()) {}

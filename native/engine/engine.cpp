@@ -12,7 +12,7 @@ namespace rmrc {
 namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
-constexpr double certified = 1e-6;  // rmrc.control.engine.CERTIFIED
+constexpr double certified = 1e-6;  // rmrc.engine.python.CERTIFIED
 constexpr double raised = 1e-6;     // rmrc.qp.damping.RAISED
 constexpr double whole = 1e-6;      // rmrc.qp.cascade.WHOLE
 constexpr double inconsistent = 1e-6;  // rmrc.qp.relax.INCONSISTENT

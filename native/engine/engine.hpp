@@ -58,7 +58,7 @@ const char* name_of(Ending ending);
 
 /// Solves one step after the other, each from the active set of the last.
 ///
-/// The specification is rmrc.control.engine.PythonEngine. All memory is taken before the first step.
+/// The specification is rmrc.engine.python.PythonEngine. All memory is taken before the first step.
 class Engine {
  public:
   Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& program,

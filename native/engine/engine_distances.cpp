@@ -1,6 +1,6 @@
 // What of the engine's step keeps distances and the speeds of frames: its command, once the program
 // is solved, is solved again for the curvature of the step or of the speeds, or shortened
-// (rmrc.control.engine, `_cut` and `_at_distance`).
+// (rmrc.engine.python, `_cut` and `_at_distance`).
 
 #include <algorithm>
 #include <cmath>
@@ -12,10 +12,10 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.engine: CERTIFIED and GAINED.
+// rmrc.engine.python: CERTIFIED and GAINED.
 constexpr double certified = 1e-6;
 constexpr double gained = 1e-3;
-constexpr double forced = 1e-9;  // rmrc.control.engine.FORCED
+constexpr double forced = 1e-9;  // rmrc.engine.python.FORCED
 
 }  // namespace
 

@@ -1,5 +1,5 @@
 // What there is of a step where its program is not solved at once: the rungs of the ladder
-// (rmrc.control.engine, `_descend_ladder`).
+// (rmrc.engine.python, `_descend_ladder`).
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.engine: CERTIFIED and MORE_ROOM; and rmrc.qp.relax.INCONSISTENT.
+// rmrc.engine.python: CERTIFIED and MORE_ROOM; and rmrc.qp.relax.INCONSISTENT.
 constexpr double certified = 1e-6;
 constexpr double more_room = 1e-8;  // rad/s or m/s
 constexpr double inconsistent = 1e-6;

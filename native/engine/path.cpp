@@ -7,7 +7,7 @@ namespace rmrc {
 
 namespace {
 
-constexpr double most_steps = 9007199254740992.0;  // rmrc.control.shorten.MOST_STEPS
+constexpr double most_steps = 9007199254740992.0;  // rmrc.engine.backtracking.MOST_STEPS
 
 }  // namespace
 

@@ -8,7 +8,7 @@
 namespace rmrc {
 
 /// The way of a step with v, and of those after it, in which the joints brake:
-/// rmrc.control.shorten._Path.
+/// rmrc.engine.backtracking._Path.
 ///
 /// Its places are counted in steps: 0 is the present configuration, 1 where v leads, and at `last`
 /// all joints rest.

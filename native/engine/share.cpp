@@ -1,5 +1,5 @@
 // The search for the share of a command that keeps all distances: Shortening.share of
-// rmrc.control.shorten.
+// rmrc.engine.backtracking.
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +10,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.shorten: TRIALS, GUESSES, NEARER, LEAST_PART and CLOSE.
+// rmrc.engine.backtracking: TRIALS, GUESSES, NEARER, LEAST_PART and CLOSE.
 constexpr int trials = 10;
 constexpr int guesses = 10;
 constexpr double nearer = 0.98;

@@ -11,7 +11,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.shorten: TOLERANCE, NOISE, MOST_LOOKS and MOST_PARTS.
+// rmrc.engine.backtracking: TOLERANCE, NOISE, MOST_LOOKS and MOST_PARTS.
 constexpr double tolerance = 0.5;
 constexpr double noise = 1e-3;
 constexpr int most_looks = 256;

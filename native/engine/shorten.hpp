@@ -18,7 +18,7 @@ struct Share {
   bool passed;   // whether a distance falls below its limit even so
 };
 
-/// Keeps distances at the configuration that a command leads to: rmrc.control.shorten.Shortening.
+/// Keeps distances at the configuration that a command leads to: rmrc.engine.backtracking.Shortening.
 class Shortening {
  public:
   /// `own` are the kinematics of data of its own.

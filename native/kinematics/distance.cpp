@@ -11,7 +11,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.problem.limits.distance: PARALLEL, ASIDE and AGAIN.
+// rmrc.model.distance: PARALLEL, ASIDE and AGAIN.
 constexpr double parallel = 1e-9;
 constexpr double aside = 1e-10;
 constexpr int again = 6;

@@ -13,7 +13,7 @@ struct GeomPair {
   double radius, half;  // the capsule's
 };
 
-/// Return the distance as rmrc.problem.limits.distance.signed_distance does, at most `most`.
+/// Return the distance as rmrc.model.distance.signed_distance does, at most `most`.
 ///
 /// `segment` (6,) gets the nearest points of the first and of the second geom.
 double signed_distance(const MuJoCo& mujoco, const Kinematics& at, const GeomPair& pair,

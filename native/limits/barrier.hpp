@@ -9,7 +9,7 @@
 
 namespace rmrc {
 
-/// The entries of a barrier that may bind in a step: rmrc.problem.limits.barrier.Near.
+/// The entries of a barrier that may bind in a step: rmrc.limits.barrier.Near.
 struct Near {
   std::int64_t* ids;  // in ascending order
   double* distance;   // h above the limit
@@ -18,7 +18,7 @@ struct Near {
   int count;
 };
 
-/// A source of distances h(q): rmrc.problem.limits.barrier.Barrier.
+/// A source of distances h(q): rmrc.limits.barrier.Barrier.
 class Barrier {
  public:
   /// `size` entries; `gain` and `push` as there.

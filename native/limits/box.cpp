@@ -10,8 +10,8 @@ namespace rmrc {
 namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
-constexpr double range_rounding = 1e-9;  // rmrc.problem.limits.box.RANGE_ROUNDING
-constexpr double tiny = 1e-300;          // rmrc.problem.limits.box.TINY
+constexpr double range_rounding = 1e-9;  // rmrc.limits.box.RANGE_ROUNDING
+constexpr double tiny = 1e-300;          // rmrc.limits.box.TINY
 constexpr double far = 1e12;             // stands for the room of a joint without a range
 
 // The largest speed from which a joint can stop in its room; any where it has none to stop in.
@@ -21,7 +21,7 @@ double stoppable(double room, double deceleration, double dt) {
   return reach / (std::sqrt(change * change + reach) + change);
 }
 
-// D(v, a) ≥ 0, the least way in which a joint stops: see rmrc.problem.limits.jerk.
+// D(v, a) ≥ 0, the least way in which a joint stops: see rmrc.limits.jerk.
 double stopping_way(double v, double a, double jerk, double most_deceleration) {
   const double gained = a * a / (2.0 * jerk);
   if (a < 0.0 && gained > v) {

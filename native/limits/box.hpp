@@ -1,11 +1,11 @@
-// The box of the joint limits: rmrc.problem.limits.box and .jerk, the same roundings included.
+// The box of the joint limits: rmrc.limits.box and .jerk, the same roundings included.
 #pragma once
 
 #include <vector>
 
 namespace rmrc {
 
-/// The limits of the joints (n,), as in rmrc.problem.limits.box.Box; ±∞ where there is none.
+/// The limits of the joints (n,), as in rmrc.limits.box.Box; ±∞ where there is none.
 struct JointLimits {
   std::vector<int> coordinate;  // address in qpos
   std::vector<double> lower, upper;
@@ -15,13 +15,13 @@ struct JointLimits {
 };
 
 /// Write the steps of dt that v (n,) takes to rest once a step with it is over, and by how much |v|
-/// falls in each, as braking of rmrc.problem.limits.box; from q (nq,), or where no range ends if it
+/// falls in each, as braking of rmrc.limits.box; from q (nq,), or where no range ends if it
 /// is null.
 void braking(const JointLimits& limits, const double* v, double dt, const double* q, double* steps,
              double* change);
 
 /// Write what is left of v (n,), which has led to q (nq,), after a step of braking: braked of
-/// rmrc.problem.limits.box.
+/// rmrc.limits.box.
 void braked(const JointLimits& limits, const double* v, double dt, const double* q, double* left);
 
 /// Computes lb ≤ v ≤ ub of a step: position, velocity and acceleration clip the ends in this order.

@@ -11,7 +11,7 @@ namespace rmrc {
 
 namespace {
 
-constexpr double farthest = 1e10;  // rmrc.problem.limits.collision.FARTHEST
+constexpr double farthest = 1e10;  // rmrc.limits.collision.FARTHEST
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 

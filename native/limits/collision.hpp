@@ -9,7 +9,7 @@
 
 namespace rmrc {
 
-/// The arrays of a rmrc.problem.limits.collision.Collision, which may go on from any step of this
+/// The arrays of a rmrc.limits.collision.Collision, which may go on from any step of this
 /// one's and the other way round; of pairs (p, …) where nothing else is said.
 struct PairArrays {
   int pairs, bodies, mocaps;
@@ -41,7 +41,7 @@ struct PairPlane {
   double normal[3], seen[3];
 };
 
-/// h = d − d_min of each pair: rmrc.problem.limits.collision.Collision.
+/// h = d − d_min of each pair: rmrc.limits.collision.Collision.
 class Collision final : public Barrier {
  public:
   Collision(const PairArrays& arrays, const MuJoCo& mujoco);
@@ -68,8 +68,8 @@ class Collision final : public Barrier {
   double bend(int id, double reach, const double* speed, const double* change) const;
 
  private:
-  static constexpr double leave = 1.2;     // rmrc.problem.limits.collision.LEAVE
-  static constexpr int most_contacts = 3;  // rmrc.problem.limits.contacts.KEPT
+  static constexpr double leave = 1.2;     // rmrc.limits.collision.LEAVE
+  static constexpr int most_contacts = 3;  // rmrc.limits.contacts.KEPT
   static constexpr int contact = 9;        // numbers of one contact, and of those of a pair
   static constexpr int contacts_of_pair = (most_contacts + 1) * contact;
 

@@ -1,5 +1,5 @@
 // The points of pairs of geoms that were nearest before they jumped elsewhere:
-// rmrc.problem.limits.contacts.
+// rmrc.limits.contacts.
 
 #include <algorithm>
 #include <cmath>
@@ -11,7 +11,7 @@ namespace rmrc {
 
 namespace {
 
-constexpr double aside = 0.05;  // rmrc.problem.limits.contacts.ASIDE
+constexpr double aside = 0.05;  // rmrc.limits.contacts.ASIDE
 
 double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
 

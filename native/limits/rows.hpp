@@ -107,7 +107,7 @@ class Rows {
   const double* v_previous_;
   RowArrays arrays_;
   int capacity_, speed_count_ = 0, room_ = 0;
-  double resolution_ = 1e-6;  // rmrc.problem.limits.extents.FINEST
+  double resolution_ = 1e-6;  // rmrc.model.extents.FINEST
   std::vector<bool> turning_;
   Slides slides_;
   std::vector<SpeedRows> speeds_;

@@ -13,7 +13,7 @@ struct Slide {
   std::vector<int> before;  // the dofs that turn it
 };
 
-/// The slides of a robot: rmrc.problem.limits.slides.Slides.
+/// The slides of a robot: rmrc.limits.slides.Slides.
 class Slides {
  public:
   Slides() = default;

@@ -12,7 +12,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.problem.limits.speed: INSIDE and STILL.
+// rmrc.limits.speed: INSIDE and STILL.
 constexpr double inside = 1e-4;
 constexpr double no_direction = 1e-12;
 

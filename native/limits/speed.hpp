@@ -8,10 +8,10 @@
 
 namespace rmrc {
 
-/// Planes that may stand for one ball: rmrc.problem.limits.speed.PLANES.
+/// Planes that may stand for one ball: rmrc.limits.speed.PLANES.
 constexpr int planes = 12;
 
-/// ‖J v‖ ≤ V for one half of a frame's velocity, J (3, n): rmrc.problem.limits.speed._Ball.
+/// ‖J v‖ ≤ V for one half of a frame's velocity, J (3, n): rmrc.limits.speed._Ball.
 class SpeedBall {
  public:
   SpeedBall(double largest, int n) : largest_(largest), jacobian_(3 * n), n_(n) {}
@@ -39,7 +39,7 @@ class SpeedBall {
   double directions_[planes][3]{}, direction_[3]{};
 };
 
-/// Rows uᵀ J v ≤ ρ of a frame: rmrc.problem.limits.speed.SpeedRows.
+/// Rows uᵀ J v ≤ ρ of a frame: rmrc.limits.speed.SpeedRows.
 class SpeedRows {
  public:
   /// `rate` is the task's ẋ (6,), along the frame's own axes if `turned`; ∞ without a limit. `place`

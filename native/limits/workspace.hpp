@@ -21,7 +21,7 @@ struct Plane {
   std::vector<double> levers;  // (nv + 6 nmocap,)
 };
 
-/// h = nᵀp − offset: rmrc.problem.limits.workspace.Workspace.
+/// h = nᵀp − offset: rmrc.limits.workspace.Workspace.
 class Workspace final : public Barrier {
  public:
   /// `twist` are the velocities of the mocap bodies (nmocap, 6).
@@ -43,7 +43,7 @@ struct Ball {
   double largest;
 };
 
-/// h = θ_max − θ of each ball joint: rmrc.problem.limits.ball.BallRange.
+/// h = θ_max − θ of each ball joint: rmrc.limits.ball.BallRange.
 class BallRange final : public Barrier {
  public:
   BallRange(std::vector<Ball> balls, double gain, double push, int nv);
@@ -64,7 +64,7 @@ struct TendonEnd {
   std::vector<double> coefficients;
 };
 
-/// The ends of the ranges of fixed tendons: rmrc.problem.limits.tendon.TendonRange.
+/// The ends of the ranges of fixed tendons: rmrc.limits.tendon.TendonRange.
 class TendonRange final : public Barrier {
  public:
   TendonRange(std::vector<TendonEnd> ends, double gain, double push, int nv);

@@ -99,7 +99,7 @@ int Equalities::stack_up(const HardTerm& term, int at, const double* lower) {
   return at + count;
 }
 
-// ẋ without what J v is at right angles to by definition: rmrc.problem.tasks.base.Term.attainable.
+// ẋ without what J v is at right angles to by definition: rmrc.tasks.base.Term.attainable.
 void Equalities::ask(const HardTerm& term, double* wanted) const {
   const double *rate = rate_ + term.first, *error = stack_.error + term.first;
   std::copy_n(rate, term.rows, wanted);

@@ -1,4 +1,4 @@
-// The `loop` term: equality constraints of the model itself, as rmrc.problem.tasks.loop has them.
+// The `loop` term: equality constraints of the model itself, as rmrc.tasks.loop has them.
 #pragma once
 
 #include <vector>

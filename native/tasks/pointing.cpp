@@ -10,7 +10,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.problem.tasks.pointing: RIGHT, SLOPE, ANTIPODE and SIDEWAYS.
+// rmrc.tasks.pointing: RIGHT, SLOPE, ANTIPODE and SIDEWAYS.
 constexpr double right = std::numbers::sqrt2;
 constexpr double slope = 0.5 * std::numbers::sqrt2;
 constexpr double antipode = 1e-7;

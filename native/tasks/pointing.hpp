@@ -1,4 +1,4 @@
-// The error of an axis that points somewhere: rmrc.problem.tasks.pointing.
+// The error of an axis that points somewhere: rmrc.tasks.pointing.
 #pragma once
 
 namespace rmrc {

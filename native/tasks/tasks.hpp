@@ -1,4 +1,4 @@
-// The terms of the cost: errors, Jacobians and feed-forwards, as rmrc.problem.tasks defines them.
+// The terms of the cost: errors, Jacobians and feed-forwards, as rmrc.tasks defines them.
 #pragma once
 
 #include <cstdint>

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rmrc import reference
-    from rmrc.config.base import Frame, Pose
     from rmrc.config.load import load
     from rmrc.config.models import Config
     from rmrc.control.batch import BatchController, BatchStep
     from rmrc.control.controller import Controller
-    from rmrc.control.loop import solve
-    from rmrc.control.paths import (
+    from rmrc.control.step import Status, Step
+    from rmrc.errors import ConfigError, ModelError, RmrcError, SolverError
+    from rmrc.paths import (
         ArcPath,
         CirclePath,
         FilePath,
@@ -20,11 +20,12 @@ if TYPE_CHECKING:
         PosePath,
         WaypointsPath,
     )
-    from rmrc.control.step import Status, Step
-    from rmrc.errors import ConfigError, ModelError, RmrcError, SolverError
     from rmrc.problem.compile import compile
     from rmrc.problem.problem import Problem
-    from rmrc.problem.tasks import (
+    from rmrc.record.run import Run
+    from rmrc.runs.compare import Comparison, compare
+    from rmrc.runs.solve import solve
+    from rmrc.tasks import (
         AxisAlignTask,
         CenteringTask,
         ClearanceTask,
@@ -41,54 +42,53 @@ if TYPE_CHECKING:
         SmoothTask,
         VelocityTask,
     )
-    from rmrc.record.compare import Comparison, compare
-    from rmrc.record.run import Run
+    from rmrc.text.base import Frame, Pose
 
     __version__: str
 
 # Imported on use: the command line can then answer, and be interrupted, without MuJoCo and mink.
 _HOMES = {
-    "ArcPath": "rmrc.control.paths",
-    "AxisAlignTask": "rmrc.problem.tasks",
+    "ArcPath": "rmrc.paths",
+    "AxisAlignTask": "rmrc.tasks",
     "BatchController": "rmrc.control.batch",
     "BatchStep": "rmrc.control.batch",
-    "CenteringTask": "rmrc.problem.tasks",
-    "CirclePath": "rmrc.control.paths",
-    "ClearanceTask": "rmrc.problem.tasks",
-    "ComTask": "rmrc.problem.tasks",
-    "Comparison": "rmrc.record.compare",
+    "CenteringTask": "rmrc.tasks",
+    "CirclePath": "rmrc.paths",
+    "ClearanceTask": "rmrc.tasks",
+    "ComTask": "rmrc.tasks",
+    "Comparison": "rmrc.runs.compare",
     "Config": "rmrc.config.models",
     "ConfigError": "rmrc.errors",
     "Controller": "rmrc.control.controller",
-    "CouplingTask": "rmrc.problem.tasks",
-    "FilePath": "rmrc.control.paths",
-    "Frame": "rmrc.config.base",
-    "FrameTask": "rmrc.problem.tasks",
-    "FreezeTask": "rmrc.problem.tasks",
-    "HoldPath": "rmrc.control.paths",
-    "KineticEnergyTask": "rmrc.problem.tasks",
-    "LinePath": "rmrc.control.paths",
-    "LookAtTask": "rmrc.problem.tasks",
-    "LoopTask": "rmrc.problem.tasks",
-    "ManipulabilityTask": "rmrc.problem.tasks",
+    "CouplingTask": "rmrc.tasks",
+    "FilePath": "rmrc.paths",
+    "Frame": "rmrc.text.base",
+    "FrameTask": "rmrc.tasks",
+    "FreezeTask": "rmrc.tasks",
+    "HoldPath": "rmrc.paths",
+    "KineticEnergyTask": "rmrc.tasks",
+    "LinePath": "rmrc.paths",
+    "LookAtTask": "rmrc.tasks",
+    "LoopTask": "rmrc.tasks",
+    "ManipulabilityTask": "rmrc.tasks",
     "ModelError": "rmrc.errors",
-    "Pose": "rmrc.config.base",
-    "PosePath": "rmrc.control.paths",
-    "PostureTask": "rmrc.problem.tasks",
+    "Pose": "rmrc.text.base",
+    "PosePath": "rmrc.paths",
+    "PostureTask": "rmrc.tasks",
     "Problem": "rmrc.problem.problem",
-    "RelativeFrameTask": "rmrc.problem.tasks",
+    "RelativeFrameTask": "rmrc.tasks",
     "RmrcError": "rmrc.errors",
     "Run": "rmrc.record.run",
-    "SmoothTask": "rmrc.problem.tasks",
+    "SmoothTask": "rmrc.tasks",
     "SolverError": "rmrc.errors",
     "Status": "rmrc.control.step",
     "Step": "rmrc.control.step",
-    "VelocityTask": "rmrc.problem.tasks",
-    "WaypointsPath": "rmrc.control.paths",
-    "compare": "rmrc.record.compare",
+    "VelocityTask": "rmrc.tasks",
+    "WaypointsPath": "rmrc.paths",
+    "compare": "rmrc.runs.compare",
     "compile": "rmrc.problem.compile",
     "load": "rmrc.config.load",
-    "solve": "rmrc.control.loop",
+    "solve": "rmrc.runs.solve",
 }
 
 

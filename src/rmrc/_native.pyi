@@ -5,8 +5,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.control.native import NativeEngine
 from rmrc.control.step import Step
+from rmrc.native.engine import NativeEngine
 from rmrc.qp.program import Array
 
 Method = TypeVar("Method")

@@ -214,8 +214,8 @@ def compare(
     """Run a configuration by several methods: a table, and a page with all their curves."""
     import rmrc
     from rmrc.config.load import parse_sweep, swept
-    from rmrc.record.compare import COMPARISON_FOLDER
     from rmrc.record.folder import json_text
+    from rmrc.runs.compare import COMPARISON_FOLDER
 
     if out is not None:
         COMPARISON_FOLDER.ensure_free(out)
@@ -238,8 +238,8 @@ def compare(
 
 
 def _print_comparison(name: str, summary: dict[str, Any], folder: Path) -> None:
-    from rmrc.record.compare import PAGE
     from rmrc.record.overlay import table
+    from rmrc.runs.compare import PAGE
 
     console = Console(highlight=False)
     head, rows = table(summary, whole=False)
@@ -269,7 +269,7 @@ def check(
 ) -> None:
     """Validate configurations against their models, and say what will bind."""
     import rmrc
-    from rmrc.control.check import check as check_config
+    from rmrc.runs.check import check as check_config
 
     overrides, mistaken = _overrides(settings), False
     for path in configs:
@@ -293,8 +293,8 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print it all as JSON.")] = False,
 ) -> None:
     """List what a model has: frames, joints with ranges and speeds, couplings, keyframes."""
-    from rmrc.control.inspect import inspect as look
-    from rmrc.problem.inspect import described
+    from rmrc.runs.describe import described
+    from rmrc.runs.inspect import inspect as look
 
     found = look(model)
     if as_json:
@@ -323,8 +323,8 @@ def init(
     ] = False,
 ) -> None:
     """Begin: a configuration and a stack of one's own for a robot, that run at once."""
-    from rmrc.control.init import examples, init_example, init_scene
     from rmrc.errors import RmrcError
+    from rmrc.runs.init import examples, init_example, init_scene
 
     if listed:
         for name, says in examples().items():
@@ -380,8 +380,8 @@ def why(
     ] = None,
 ) -> None:
     """Say why a step of a run is what it is: what binds, and what would help."""
-    from rmrc.control.why import why as explain_step
     from rmrc.record.run import Run
+    from rmrc.runs.why import why as explain_step
 
     loaded = Run.load(run)
     number, explanation = explain_step(loaded, step)
@@ -399,8 +399,8 @@ def bench(
 ) -> None:
     """Measure this machine: how long a step takes, with each engine that is here."""
     import rmrc
-    from rmrc.control.bench import bench as measure
     from rmrc.record.folder import json_text
+    from rmrc.runs.bench import bench as measure
 
     found = measure(rmrc.load(config) if config else None)
     if as_json:

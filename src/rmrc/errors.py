@@ -6,7 +6,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rmrc.config.mistakes import Mistake
+    from rmrc.text.mistakes import Mistake
 
 MOST_COMPARED = 200
 """Known names that a wrong one is compared with: alike names take difflib a millisecond each."""

@@ -42,7 +42,7 @@ def test_a_configuration_of_ones_own_is_timed() -> None:
 
 
 def test_without_the_extension_it_says_so_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rmrc.control.native", None)
+    monkeypatch.setitem(sys.modules, "rmrc.native.engine", None)
     shown = bench(LINE)
     assert shown.count("the native engine is not there") == 1
     assert "native engine: installed" not in shown

@@ -167,7 +167,7 @@ def interrupted(folder: Path, after: float) -> tuple[int, str, str]:
 
 @pytest.mark.parametrize(
     "module",
-    ["rmrc.cli", "typer", "rich.table", "numpy", "mujoco", "pydantic", "rmrc.control.loop"],
+    ["rmrc.cli", "typer", "rich.table", "numpy", "mujoco", "pydantic", "rmrc.runs.solve"],
 )
 def test_ctrl_c_during_the_imports_is_one_line(module: str, tmp_path: Path) -> None:
     program = f"""

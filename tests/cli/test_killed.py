@@ -19,8 +19,8 @@ import pytest
 import rmrc
 from models import REPOSITORY
 from rmrc.cli import main
-from rmrc.record.compare import NUMBERS, PAGE
 from rmrc.record.run import MANIFEST, REPORT, TRAJECTORY
+from rmrc.runs.compare import NUMBERS, PAGE
 
 LINE = REPOSITORY / "configs" / "planar_line.yaml"
 SHORT = (str(LINE), "--set", "duration=0.1")
@@ -44,7 +44,7 @@ pytestmark = pytest.mark.skipif(
 def processes() -> ForkServerContext:
     """Processes that have imported everything already, so that a kill falls into the work."""
     context = get_context("forkserver")
-    context.set_forkserver_preload(["rmrc.cli", "rmrc.record.compare", "rmrc.record.run"])
+    context.set_forkserver_preload(["rmrc.cli", "rmrc.runs.compare", "rmrc.record.run"])
     return context
 
 

@@ -7,16 +7,16 @@ import pytest
 
 import rmrc
 from models import REPOSITORY, config
-from rmrc.config.annotations import tagged
-from rmrc.config.limits import LimitsModel
-from rmrc.problem.tasks import Task
+from rmrc.limits.models import LimitsModel
+from rmrc.tasks import Task
+from rmrc.text.annotations import tagged
 
 pytest.importorskip(
-    "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
+    "rmrc.native.engine", reason="the native extension is not built", exc_type=ImportError
 )
 from twins import assert_equal
 
-from rmrc.control.native import NativeEngine
+from rmrc.native.engine import NativeEngine
 
 STEPS = 60
 PYTHONS = {"manipulability", "clearance"}

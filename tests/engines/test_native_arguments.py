@@ -13,7 +13,7 @@ import pytest
 
 import rmrc
 from models import config
-from rmrc.control.native_batch import NativeBatch
+from rmrc.control.fast.batch import NativeBatch
 
 _native = pytest.importorskip(
     "rmrc._native", reason="the native extension is not built", exc_type=ImportError
@@ -91,7 +91,7 @@ def test_arguments_that_do_not_fit(
 def test_pairs_of_geoms_that_are_not_there(
     repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rmrc.problem.limits.collision import Collision
+    from rmrc.limits.collision import Collision
 
     arrays = Collision.arrays
     monkeypatch.setattr(Collision, "arrays", lambda self: arrays(self) | {"geoms": wild(self)})
@@ -121,7 +121,7 @@ def test_a_batch_of_two_problems(repository: Path, monkeypatch: pytest.MonkeyPat
         made: list[Any] = [
             rmrc.BatchController(problem(repository, scene), 2, threads=1, engine="native")
             for scene in ("panda", "ur5e")
-            if not patch.setattr("rmrc.control.native_batch.NativeBatch.reset", lambda *_: None)
+            if not patch.setattr("rmrc.control.fast.batch.NativeBatch.reset", lambda *_: None)
         ]
     one, other = (each._elements._native for each in made)
     for workers in (one["workers"] + other["workers"], one["workers"] * 2):

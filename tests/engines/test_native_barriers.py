@@ -15,19 +15,19 @@ import rmrc
 from models import CHAIN, PLANES, REPOSITORY, config, random_configuration
 from rmrc import Problem
 from rmrc.config.models import DampingModel
-from rmrc.control.correct import ENOUGH, SPARE
 from rmrc.control.engines import Engine
-from rmrc.problem.limits.collision import Collision
+from rmrc.engine.correction import ENOUGH, SPARE
+from rmrc.limits.collision import Collision
 from rmrc.qp.program import Solution
 from rmrc.qp.rows import Rows
 
 Array = NDArray[np.float64]
 
 if TYPE_CHECKING:
-    from rmrc.control.native import NativeEngine
+    from rmrc.native.engine import NativeEngine
 else:
     native = pytest.importorskip(
-        "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
+        "rmrc.native.engine", reason="the native extension is not built", exc_type=ImportError
     )
     NativeEngine = native.NativeEngine
 

@@ -13,7 +13,7 @@ import rmrc
 from models import MENAGERIE, REPOSITORY, config
 
 pytest.importorskip(
-    "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
+    "rmrc.native.engine", reason="the native extension is not built", exc_type=ImportError
 )
 from twins import assert_equal, twins
 

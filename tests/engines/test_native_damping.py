@@ -14,7 +14,7 @@ import rmrc
 from models import REPOSITORY, config, random_configuration
 
 pytest.importorskip(
-    "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
+    "rmrc.native.engine", reason="the native extension is not built", exc_type=ImportError
 )
 
 Array = NDArray[np.float64]

@@ -15,10 +15,10 @@ from models import MENAGERIE, REPOSITORY, ROBOTS, config, scene_path
 from rmrc.control.engines import build_engine
 
 if TYPE_CHECKING:
-    from rmrc.control.native import NativeEngine
+    from rmrc.native.engine import NativeEngine
 else:
     NativeEngine = pytest.importorskip(
-        "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
+        "rmrc.native.engine", reason="the native extension is not built", exc_type=ImportError
     ).NativeEngine
 
 STEPS = 200

@@ -12,7 +12,7 @@ from models import REPOSITORY
 
 pytest.importorskip("rmrc._native")
 
-from rmrc.control.native_kinematics import ARRAYS, Watched, build
+from rmrc.native.kinematics import ARRAYS, Watched, build
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,13 @@ import rmrc
 from models import REPOSITORY, config
 
 pytest.importorskip(
-    "rmrc.control.native", reason="the native extension is not built", exc_type=ImportError
+    "rmrc.native.engine", reason="the native extension is not built", exc_type=ImportError
 )
 from twins import twins
 
 from rmrc.control.batch import BatchController
-from rmrc.control.native import NativeEngine
-from rmrc.control.native_steps import Taken
+from rmrc.control.fast.steps import Taken
+from rmrc.native.engine import NativeEngine
 
 ROUNDING = 1e-12
 """m or rad, and of J: sums of a few terms of the order of 1, in another order."""

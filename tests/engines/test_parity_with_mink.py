@@ -10,7 +10,7 @@ import pytest
 
 import rmrc
 from models import REPOSITORY, config
-from rmrc.problem.limits.joints import HINGE_SPEED
+from rmrc.limits.joints import HINGE_SPEED
 
 DT = 0.002
 GAIN = 0.02  # mink's, per step

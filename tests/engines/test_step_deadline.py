@@ -16,9 +16,9 @@ import rmrc
 from braking import left_of
 from models import REPOSITORY, config
 from rmrc import Controller, Problem, Status
-from rmrc.control.check import check
-from rmrc.problem.limits.collision import CollisionPairs
+from rmrc.limits.collision import CollisionPairs
 from rmrc.qp.relax import least_violation
+from rmrc.runs.check import check
 from slow_steps import Place, problem, walk
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ MOST = {"panda": 1.2e-3, "panda, stopping": 1.2e-3, "panda, strict": 1.2e-3, "ch
 QUICK = 3e-3
 """s: of steps without a deadline that were 43 to 78 ms before the ladder came to C++."""
 KEPT = 1e-6
-"""m; `rmrc.problem.limits.extents.FINEST`."""
+"""m; `rmrc.model.extents.FINEST`."""
 ROUNDING = 1e-12
 MOVED = 0.03
 """rad, of the joint that is moved most."""
@@ -106,7 +106,7 @@ def test_the_python_engine_goes_to_no_rung_when_its_time_is_over(
         taken.append("rung")
         return least_violation(qp, brake, allow)
 
-    monkeypatch.setattr("rmrc.control.engine.least_violation", counted)
+    monkeypatch.setattr("rmrc.engine.python.least_violation", counted)
     made = replace(problem("chain", tmp_path, 1e6 * DEADLINE), curvature=False)
     for deadline, goes in ((np.inf, True), (DEADLINE, False)):
         taken.clear()

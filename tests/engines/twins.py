@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 import rmrc
 from rmrc import Problem, Step
-from rmrc.control.engine import CERTIFIED
 from rmrc.control.engines import Engine
 from rmrc.control.step import ACTIVE_MULTIPLIER
-from rmrc.problem.limits.box import braked
+from rmrc.engine.python import CERTIFIED
+from rmrc.limits.box import braked
 from rmrc.qp.program import Solution, SolveStatus
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import rmrc
-import rmrc.control.native  # these are loaded on use, and name the classes as they are
-import rmrc.control.native_batch
+import rmrc.control.fast.batch
+import rmrc.native.engine  # these are loaded on use, and name the classes as they are
 from fuzzing import scenes
 from fuzzing.numbers import AWKWARD, NOT_FINITE, Generator, among
 from rmrc import _native

@@ -13,8 +13,8 @@ import pytest
 from properties.mutate import edit_bytes
 from rmrc.config.load import load, show
 from rmrc.config.models import Config
-from rmrc.control.check import check
 from rmrc.errors import ConfigError
+from rmrc.runs.check import check
 
 # Seconds that a file may take; one of a few hundred bytes takes some hundredths.
 SOON = 2.0
@@ -223,7 +223,7 @@ def test_a_hostile_file_is_refused_soon_and_in_little_memory(hostile: Path, case
     config = hostile / "fuzz.yaml"
     config.write_text(text, encoding="utf-8")
     processes = get_context("forkserver")
-    processes.set_forkserver_preload(["rmrc.control.check", "rmrc.config.load"])
+    processes.set_forkserver_preload(["rmrc.runs.check", "rmrc.config.load"])
     name = "fuzz.yaml" if case in HOSTILE else case
     process = processes.Process(target=alone, args=(name, hostile / "out.json"), daemon=True)
     process.start()

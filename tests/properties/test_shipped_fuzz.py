@@ -14,8 +14,8 @@ import pytest
 from models import REPOSITORY
 from properties.mutate import Mutator
 from rmrc.config.load import load
-from rmrc.control.check import check
 from rmrc.errors import ConfigError, ModelError
+from rmrc.runs.check import check
 
 # Seconds of the processor that checking one file may take, and bytes beyond those before it.
 SOON = 2.0

@@ -130,7 +130,7 @@ def test_com_is_that_of_the_robots_not_of_the_furniture() -> None:
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1] * 3, pos=[0.5, 0, 0], mass=1.0)
     table = spec.worldbody.add_body(name="table", pos=[5, 0, 0])
     table.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[1] * 3, mass=8000.0)
-    from rmrc.problem.tasks import ComTask
+    from rmrc.tasks import ComTask
 
     model = spec.compile()
     term = ComTask(name="com").compile(model, model.qpos0)

@@ -11,11 +11,11 @@ import rmrc
 from descriptions import ARM, FINGERS
 from models import config as made
 from rmrc.cli import app
-from rmrc.control.check import check
-from rmrc.control.init import examples, init_example, init_scene, shipped
-from rmrc.control.inspect import inspect
 from rmrc.errors import RmrcError
-from rmrc.problem.inspect import described
+from rmrc.runs.check import check
+from rmrc.runs.describe import described
+from rmrc.runs.init import examples, init_example, init_scene, shipped
+from rmrc.runs.inspect import inspect
 
 Urdf = Callable[..., Path]
 

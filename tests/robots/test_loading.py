@@ -14,7 +14,7 @@ from descriptions import ARM, FINGERS, INERTIAL, TURN, joint, link
 from models import config as made
 from rmrc.errors import ModelError
 from rmrc.model.scene import FLOATING_BASE, load_scene
-from rmrc.model.source import Attachment, Source
+from rmrc.text.source import Attachment, Source
 
 Urdf = Callable[..., Path]
 HERE = Path()

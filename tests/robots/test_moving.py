@@ -11,9 +11,9 @@ import pytest
 import rmrc
 from descriptions import ARM, FINGERS, joint, link
 from models import config as made
-from rmrc.config.limits import LimitsModel, PerJoint
-from rmrc.control.check import check
 from rmrc.errors import ConfigError
+from rmrc.limits.models import LimitsModel, PerJoint
+from rmrc.runs.check import check
 
 Urdf = Callable[..., Path]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import rmrc
 from models import REPOSITORY, config
 from rmrc import Problem, Status, Step
-from rmrc.control.engine import CERTIFIED
+from rmrc.engine.python import CERTIFIED
 
 Array = NDArray[np.float64]
 

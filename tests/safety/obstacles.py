@@ -9,8 +9,8 @@ from matrix import ROBOTS, Robot
 from numpy.typing import NDArray
 
 import rmrc
-from rmrc.problem.limits.collision import CollisionPairs
-from rmrc.problem.limits.distance import signed_distance
+from rmrc.limits.collision import CollisionPairs
+from rmrc.model.distance import signed_distance
 
 Array = NDArray[np.float64]
 

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 import rmrc
 from models import config
 from rmrc import Problem, Status
-from rmrc.control.engine import PythonEngine
-from rmrc.problem.limits.extents import FINEST as PASSED
+from rmrc.engine.python import PythonEngine
+from rmrc.model.extents import FINEST as PASSED
 
 Array = NDArray[np.float64]
 

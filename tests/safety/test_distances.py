@@ -12,7 +12,7 @@ from random_trees import FAR, case
 import rmrc
 from models import config
 from rmrc.control.engines import Choice
-from rmrc.problem.limits.distance import signed_distance
+from rmrc.model.distance import signed_distance
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from obstacles import BALL, beside_a_ball
 import rmrc
 from models import REPOSITORY
 from rmrc import Status, cli
-from rmrc.control.check import check
 from rmrc.control.explain import Binding
+from rmrc.runs.check import check
 
 Array = NDArray[np.float64]
 
@@ -335,7 +335,7 @@ def test_why_says_which_step_and_what_binds(
 
 
 def test_why_gives_every_step_its_recorded_status(stuck_run: Path) -> None:
-    from rmrc.control.why import why as explain_step
+    from rmrc.runs.why import why as explain_step
 
     run = rmrc.Run.load(stuck_run)
     assert len(set(run.status.tolist())) > 1

@@ -14,7 +14,7 @@ from rmrc.control.step import Status
 
 D_MIN = 0.05
 KEPT = 1e-6
-"""m; `rmrc.problem.limits.extents.FINEST`."""
+"""m; `rmrc.model.extents.FINEST`."""
 STEPS = 150
 DT = 0.01
 DECELERATION = 2.0

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 import rmrc
 from models import REPOSITORY, config
-from rmrc.control.aims import build_aims
 from rmrc.control.engines import build_engine
+from rmrc.runs.target_paths import build_aims
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from scipy.optimize import lsq_linear
 import rmrc
 from braking import left_of
 from rmrc import Status
-from rmrc.problem.limits.collision import CollisionPairs
+from rmrc.limits.collision import CollisionPairs
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import pytest
 import rmrc
 from models import REPOSITORY, config
 from rmrc import Status
-from rmrc.control.why import why
+from rmrc.runs.why import why
 
 DT = 0.002
 SECONDS = 4.0

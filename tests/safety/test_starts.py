@@ -19,8 +19,8 @@ from matrix import (
 from numpy.typing import NDArray
 
 from rmrc import Problem, Status
-from rmrc.control.engine import PythonEngine
-from rmrc.problem.limits.extents import FINEST as PASSED
+from rmrc.engine.python import PythonEngine
+from rmrc.model.extents import FINEST as PASSED
 
 Array = NDArray[np.float64]
 

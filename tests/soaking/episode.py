@@ -16,7 +16,7 @@ import rmrc
 from models import random_configuration, random_quaternion
 from rmrc.control.step import Step
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
+from rmrc.tasks.base import Term
 from soaking.checks import TOLERANCE, Checker, Moment, carried
 from soaking.contract import Contract
 from soaking.drawer import Array, Drawer, Generator

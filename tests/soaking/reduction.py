@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 import rmrc
-from rmrc.problem.limits.box import Box
+from rmrc.limits.box import Box
 from soaking.checks import TOLERANCE, Checker, Moment
 from soaking.contract import Contract
 from soaking.drawer import Array

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from models import REPOSITORY
-from rmrc.problem.scene import load_model
+from rmrc.config.compiled_scene import load_model
 from soaking.drawer import Drawer, Generator
 from soaking.trees import Tree, draw_tree
 from soaking.wishes import Wishes

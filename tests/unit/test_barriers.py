@@ -8,11 +8,11 @@ import pytest
 
 import rmrc
 from models import CHAIN, PLANES, REPOSITORY, config, random_configuration
-from rmrc.config.limits import LimitsModel
 from rmrc.errors import ConfigError
-from rmrc.problem.limits.ball import compile_balls
-from rmrc.problem.limits.barrier import Barrier
-from rmrc.problem.limits.workspace import compile_workspace
+from rmrc.limits.ball import compile_balls
+from rmrc.limits.barrier import Barrier
+from rmrc.limits.models import LimitsModel
+from rmrc.limits.workspace import compile_workspace
 
 PANDA = str(REPOSITORY / "scenes" / "panda.xml")
 POSTURE = {"name": "posture", "type": "posture"}

@@ -8,7 +8,7 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rmrc.problem.limits.box import Box, BoxLimit
+from rmrc.limits.box import Box, BoxLimit
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 import rmrc
 from models import config, random_configuration
-from rmrc.control.check import check
 from rmrc.problem.evaluation import Evaluation
+from rmrc.runs.check import check
 
 Array = NDArray[np.float64]
 

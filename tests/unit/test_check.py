@@ -8,7 +8,7 @@ import pytest
 
 import rmrc
 from models import REPOSITORY, config
-from rmrc.control.check import check
+from rmrc.runs.check import check
 
 ARM = str(REPOSITORY / "scenes" / "planar_3r.xml")
 HAND = {"name": "hand", "type": "frame", "frame": {"site": "hand"}}

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from models import REPOSITORY, random_configuration, random_quaternion
-from rmrc.config.limits import CollisionLimit
+from rmrc.config.compiled_scene import load_model
 from rmrc.errors import ModelError
-from rmrc.problem.limits import collision, distance
-from rmrc.problem.limits.collision import LEAVE, Collision, collision_pairs
-from rmrc.problem.limits.pairs import resolve_pairs
-from rmrc.problem.scene import load_model
-from rmrc.problem.tasks.base import FieldError
+from rmrc.limits import collision
+from rmrc.limits.collision import LEAVE, Collision, collision_pairs
+from rmrc.limits.models import CollisionLimit
+from rmrc.limits.pairs import resolve_pairs
+from rmrc.model import distance
+from rmrc.tasks.base import FieldError
 
 # A central difference is off by the square of its step times a curvature, up to 1/mm³ at an edge,
 # and by the iterative solver's 1e-10 m over the step.

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 import rmrc
-from rmrc.config.document import Document
 from rmrc.config.load import load, show
-from rmrc.config.mistakes import MOST_MISTAKES, Mistake, config_error
 from rmrc.errors import ConfigError
+from rmrc.text.document import Document
+from rmrc.text.mistakes import MOST_MISTAKES, Mistake, config_error
 
 GOLDEN = Path(__file__).parent / "golden" / "config"
 CONFIG = """\

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rmrc.config.read import DEEPEST, LARGEST_FILE, MOST_VALUES, parse, read
 from rmrc.errors import ConfigError
+from rmrc.text.read import DEEPEST, LARGEST_FILE, MOST_VALUES, parse, read
 
 # Seconds and bytes that the worst file may take; it takes half a second, and 200 MB in all.
 SOON = 2.0
@@ -189,7 +189,7 @@ def test_the_largest_file_takes_little_memory(tmp_path):
     path = tmp_path / "large.yaml"
     path.write_text("a: [" + "1, " * (MOST_VALUES - 10) + "]\n#" + "x" * (LARGEST_FILE - 70_000))
     script = (
-        "import re, sys, pathlib; from rmrc.config.read import read;"
+        "import re, sys, pathlib; from rmrc.text.read import read;"
         "print(len(read(pathlib.Path(sys.argv[1]), 'large.yaml').plain['a']),"
         "re.search(r'VmHWM:\\s*(\\d+)', pathlib.Path('/proc/self/status').read_text())[1])"
     )

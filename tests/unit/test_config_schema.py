@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from rmrc.config.read import read
 from rmrc.config.schema import schema
+from rmrc.text.read import read
 
 GOLDEN = Path(__file__).parent / "golden" / "config"
 FOLDERS = ("configs", "tasks")

@@ -8,7 +8,7 @@ import rmrc
 from models import REPOSITORY, config
 from rmrc import Status
 from rmrc.control import engines
-from rmrc.problem.limits.box import RANGE_ROUNDING
+from rmrc.limits.box import RANGE_ROUNDING
 
 PANDA = str(REPOSITORY / "scenes" / "panda.xml")
 BIPED = str(REPOSITORY / "scenes" / "biped.xml")

@@ -4,7 +4,7 @@ import numpy as np
 
 import rmrc
 from models import REPOSITORY, config
-from rmrc.control.measure import Measure
+from rmrc.runs.measure import Measure
 
 LIMITS = {"workspace": [{"frame": {"site": "hand"}, "normal": [0, 0, 1], "offset": 0.5}]}
 # What the end of a step may lack, m, as the limit itself promises.

@@ -10,9 +10,9 @@ import pytest
 import rmrc
 from models import config, random_configuration
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.tasks.loop import LoopTerm
 from rmrc.qp.assemble import Assembly
 from rmrc.qp.equalities import Equalities, weighed_directions
+from rmrc.tasks.loop import LoopTerm
 
 STEP = 1e-6
 # Central differences err by STEP²·f''' ≈ 1e-12 and by rounding/STEP ≈ 1e-10 · the size of e.

@@ -15,10 +15,10 @@ import pytest
 import rmrc
 from models import REPOSITORY, config
 from rmrc.config.models import ActuationModel
-from rmrc.control.check import check
 from rmrc.control.controller import Controller
-from rmrc.control.execution import build_execution
-from rmrc.control.joint_control import (
+from rmrc.runs.check import check
+from rmrc.runs.execution import build_execution
+from rmrc.runs.joint_control import (
     ComputedTorque,
     PositionServos,
     highest_bandwidth,

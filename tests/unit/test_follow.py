@@ -5,7 +5,7 @@ import pytest
 
 import rmrc
 from models import REPOSITORY, config
-from rmrc.control.check import check
+from rmrc.runs.check import check
 
 LINE = REPOSITORY / "configs" / "panda_line.yaml"
 

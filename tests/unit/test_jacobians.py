@@ -9,9 +9,9 @@ import pytest
 
 import rmrc
 from models import ROBOTS, config, random_configuration, random_quaternion, scene_path
+from rmrc.model.lie import pose_of
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.lie import pose_of
-from rmrc.problem.tasks.frame import FrameTerm
+from rmrc.tasks.frame import FrameTerm
 
 STEP = 1e-6
 # Central differences err by STEP²·f''' ≈ 1e-12 and by rounding/STEP ≈ 1e-10 · the size of e.

@@ -9,8 +9,8 @@ import pytest
 import rmrc
 from models import REPOSITORY, config
 from rmrc.errors import ConfigError
-from rmrc.problem.limits.ball import BallRanges
-from rmrc.problem.limits.joints import HINGE_SPEED, SLIDE_SPEED
+from rmrc.limits.ball import BallRanges
+from rmrc.limits.joints import HINGE_SPEED, SLIDE_SPEED
 from rmrc.problem.problem import Problem
 from rmrc.record.manifest import manifest
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models import random_quaternion
-from rmrc.problem import lie
+from rmrc.model import lie
 
 # Both sides are the same formulas in double precision; jlog amplifies rounding near half a turn.
 ROUNDING = 1e-9

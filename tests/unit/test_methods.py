@@ -9,7 +9,7 @@ import pytest
 
 import rmrc
 from models import config, scene_path
-from rmrc.control.methods import shortcomings
+from rmrc.engine.closed_form import shortcomings
 
 SAME_STEP = 1e-6
 """rad/s; daqp's own tolerance, of Δq, is looser than what rmrc asks of it."""

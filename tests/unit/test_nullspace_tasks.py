@@ -11,8 +11,8 @@ import rmrc
 from models import REPOSITORY, config, random_configuration, scene_path
 from rmrc.errors import ConfigError
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.tasks.clearance import ClearanceTerm
-from rmrc.problem.tasks.manipulability import Manipulability, ManipulabilityTerm
+from rmrc.tasks.clearance import ClearanceTerm
+from rmrc.tasks.manipulability import Manipulability, ManipulabilityTerm
 
 STEP = 1e-6
 # Central differences err by STEP²·f''' ≈ 1e-12 and by rounding/STEP ≈ 1e-10 · the size of f ≤ 25.

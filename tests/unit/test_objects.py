@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 import rmrc
 from models import config
-from rmrc.control.check import check
 from rmrc.errors import ConfigError
-from rmrc.problem.limits.collision import CollisionPairs
+from rmrc.limits.collision import CollisionPairs
 from rmrc.record.channels import positions, rates
 from rmrc.record.manifest import manifest
 from rmrc.record.plots import panels
+from rmrc.runs.check import check
 
 Array = NDArray[np.float64]
 

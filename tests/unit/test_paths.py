@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
-from rmrc.config.base import Pose
-from rmrc.control.paths import (
+from rmrc.errors import ConfigError
+from rmrc.paths import (
     PATHS,
     ArcPath,
     CirclePath,
@@ -29,10 +29,10 @@ from rmrc.control.paths import (
     Trajectory,
     WaypointsPath,
 )
-from rmrc.control.paths import file as file_module
-from rmrc.control.paths.geometry import Turn
-from rmrc.control.paths.profiles import PROFILES, ProfileName
-from rmrc.errors import ConfigError
+from rmrc.paths import file as file_module
+from rmrc.paths.geometry import Turn
+from rmrc.paths.profiles import PROFILES, ProfileName
+from rmrc.text.base import Pose
 
 Array = NDArray[np.float64]
 

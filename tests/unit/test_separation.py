@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from models import REPOSITORY, random_configuration
-from rmrc.config.limits import CollisionLimit
-from rmrc.problem.limits.collision import BLURRED, Collision, collision_pairs
-from rmrc.problem.scene import load_model
+from rmrc.config.compiled_scene import load_model
+from rmrc.limits.collision import BLURRED, Collision, collision_pairs
+from rmrc.limits.models import CollisionLimit
 
 # The planes are lowered by BLURRED against a solver that is exact to 1e-6 m.
 TOLERANCE = 0.01 * BLURRED

@@ -7,21 +7,21 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from rmrc.config.annotations import tagged
-from rmrc.config.document import Document
-from rmrc.config.explain import explain
-from rmrc.config.mistakes import Mistake, config_error
+from rmrc.config.compiled_scene import scene_of
 from rmrc.config.models import Config
 from rmrc.config.names import disagreements, unknown_names
-from rmrc.config.origins import annotated
-from rmrc.config.overrides import apply, parse_override, parse_sweep, swept
-from rmrc.config.read import read
 from rmrc.config.scene import SceneValue, source_of
-from rmrc.config.stacks import expand
 from rmrc.errors import ModelError
 from rmrc.model.scene import load_scene
-from rmrc.problem.scene import scene_of
-from rmrc.problem.tasks import Task
+from rmrc.tasks import Task
+from rmrc.text.annotations import tagged
+from rmrc.text.document import Document
+from rmrc.text.explain import explain
+from rmrc.text.mistakes import Mistake, config_error
+from rmrc.text.origins import annotated
+from rmrc.text.overrides import apply, parse_override, parse_sweep, swept
+from rmrc.text.read import read
+from rmrc.text.stacks import expand
 
 __all__ = ["load", "parse_override", "parse_sweep", "show", "swept"]
 

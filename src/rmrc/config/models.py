@@ -11,7 +11,12 @@ from pydantic import (
     model_validator,
 )
 
-from rmrc.config.base import (
+from rmrc.config.names import disagreements
+from rmrc.config.scene import SceneValue
+from rmrc.limits.models import LimitsModel, Off, PerJoint
+from rmrc.paths import PathConfig
+from rmrc.tasks import Task
+from rmrc.text.base import (
     JointName,
     KeyframeName,
     MocapName,
@@ -26,13 +31,8 @@ from rmrc.config.base import (
     Vector3,
     Weight,
 )
-from rmrc.config.document import NOWHERE, Document, Location, Place
-from rmrc.config.limits import LimitsModel, Off, PerJoint
-from rmrc.config.mistakes import Disagreement
-from rmrc.config.names import disagreements
-from rmrc.config.scene import SceneValue
-from rmrc.control.paths import PathConfig
-from rmrc.problem.tasks import Task
+from rmrc.text.document import NOWHERE, Document, Location, Place
+from rmrc.text.mistakes import Disagreement
 
 Method = Literal[
     "qp",

@@ -6,12 +6,12 @@ from typing import Any
 
 import mujoco
 
-from rmrc.config.annotations import bare, choose, entries, inside, members, tag_key
-from rmrc.config.base import NameKind, NameOf
-from rmrc.config.document import Location
-from rmrc.config.mistakes import MOST_MISTAKES, Mistake, clipped
 from rmrc.errors import unknown_name
-from rmrc.problem.frames import names
+from rmrc.model.frames import names
+from rmrc.text.annotations import bare, choose, entries, inside, members, tag_key
+from rmrc.text.base import NameKind, NameOf
+from rmrc.text.document import Location
+from rmrc.text.mistakes import MOST_MISTAKES, Mistake, clipped
 
 Named = tuple[Location, NameKind, str, bool]
 """Where a name is, of what, the name, and whether it is a key."""

@@ -6,8 +6,8 @@ import mujoco
 from pydantic import Field, InstanceOf, PlainSerializer, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from rmrc.config.base import Model
-from rmrc.model.source import Attachment, Base, Source
+from rmrc.text.base import Model
+from rmrc.text.source import Attachment, Base, Source
 
 
 class SceneFile(Model):

@@ -5,10 +5,10 @@ from typing import Any
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
-from rmrc.config.limits import LimitsModel
 from rmrc.config.models import Config
-from rmrc.config.stacks import PARAMETER
-from rmrc.problem.tasks import Task
+from rmrc.limits.models import LimitsModel
+from rmrc.tasks import Task
+from rmrc.text.stacks import PARAMETER
 
 Schema = dict[str, Any]
 

@@ -86,7 +86,7 @@ class BatchController:
             reason = _PARTS if self.engine == "native" else "only the native engine has threads"
             self.notices += (f"{n} controllers are stepped one after the other: {reason}",)
         else:
-            from rmrc.control.native_batch import NativeBatch  # which is there if its engine is
+            from rmrc.control.fast.batch import NativeBatch  # which is there if its engine is
 
             self.threads = min(n, threads or _processors())
             others = [Controller(problem, engine) for _ in range(self.threads - 1)]

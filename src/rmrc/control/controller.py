@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rmrc.control.engines import Choice, build_engine
+from rmrc.control.fast.calls import quick_step, quick_target
 from rmrc.control.inputs import LARGEST, Configurations, Targets, counted_from
-from rmrc.control.methods import UNCERTIFIED
 from rmrc.control.progress import Progress
-from rmrc.control.quick import quick_step, quick_target
 from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
+from rmrc.engine.closed_form import UNCERTIFIED
 from rmrc.errors import ModelError, RmrcError, unknown_name
-from rmrc.problem.frames import names
-from rmrc.problem.limits.box import braked
-from rmrc.problem.limits.contacts import ELSEWHERE
+from rmrc.limits.box import braked
+from rmrc.limits.contacts import ELSEWHERE
+from rmrc.model.frames import names
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 

@@ -3,11 +3,11 @@
 from importlib.util import find_spec
 from typing import Literal
 
-from rmrc.config.mistakes import Mistake, config_error
-from rmrc.control.engine import PythonEngine
-from rmrc.control.methods import MethodEngine
+from rmrc.engine.closed_form import MethodEngine
+from rmrc.engine.python import PythonEngine
 from rmrc.errors import ModelError, SolverError, unknown_name
 from rmrc.problem.problem import Problem
+from rmrc.text.mistakes import Mistake, config_error
 
 Choice = Literal["auto", "python", "native"]
 Engine = PythonEngine | MethodEngine
@@ -37,7 +37,7 @@ def build_engine(problem: Problem, choice: Choice) -> tuple[Engine, tuple[str, .
         message = f"native cannot run: {reason}. With `engine: auto` the Python engine runs"
         raise config_error([Mistake(("engine",), message)], problem.config)
     if asked != "python" and not reason:
-        from rmrc.control.native import NativeEngine  # which is there, for there is no reason
+        from rmrc.native.engine import NativeEngine  # which is there, for there is no reason
 
         return NativeEngine(problem), ()
     other = problem.config.method != "qp"
@@ -50,7 +50,7 @@ def _reason(problem: Problem) -> str | None:
     """Return why the native engine cannot run a problem, or None."""
     if failure := missing():
         return f"the native engine is not there: {failure}"
-    from rmrc.control.native import lacking
+    from rmrc.native.engine import lacking
 
     absent = lacking(problem)
     return f"the native engine has no {', no '.join(absent)}" if absent else None
@@ -61,7 +61,7 @@ def missing() -> str | None:
     if find_spec("rmrc._native") is None:
         return NOT_BUILT
     try:
-        from rmrc.control.native import addresses
+        from rmrc.native.engine import addresses
 
         addresses()
     except (ImportError, SolverError) as failure:

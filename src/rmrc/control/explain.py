@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.control.joint_bounds import JointBounds
-from rmrc.control.methods import PASSED
 from rmrc.control.reasons import Reason, reasons
 from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
+from rmrc.engine.closed_form import PASSED
 from rmrc.errors import printable
-from rmrc.problem.configuration import turning_dofs
-from rmrc.problem.tasks.base import Term
+from rmrc.model.configuration import turning_dofs
 from rmrc.qp.program import Solution
+from rmrc.tasks.base import Term
 
 if TYPE_CHECKING:
     from rmrc.control.step import Step

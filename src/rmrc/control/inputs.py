@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rmrc.problem.configuration import QPOS_WIDTH, joint_type
+from rmrc.model.configuration import QPOS_WIDTH, joint_type
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.tasks.base import Term
+from rmrc.tasks.base import Term
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.control.step import Moment
-from rmrc.problem.configuration import joint_type
-from rmrc.problem.limits.box import BoxLimit
-from rmrc.problem.limits.joints import joint_name
+from rmrc.limits.box import BoxLimit
+from rmrc.limits.joints import joint_name
+from rmrc.model.configuration import joint_type
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from rmrc.control.joint_bounds import JointBounds
 from rmrc.control.progress import REST
 from rmrc.control.step import ACTIVE_MULTIPLIER, Moment
-from rmrc.problem.limits.pairs import BETWEEN
-from rmrc.problem.tasks.base import Term
+from rmrc.limits.pairs import BETWEEN
 from rmrc.qp.backends import create
 from rmrc.qp.program import QP, Solution
+from rmrc.tasks.base import Term
 
 Array = NDArray[np.float64]
 

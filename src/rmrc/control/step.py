@@ -18,9 +18,9 @@ from rmrc.qp.program import Solution
 from rmrc.qp.rows import KeptRows, PackedRows
 
 if TYPE_CHECKING:
-    from rmrc.control.engine import PythonEngine
     from rmrc.control.explain import Explanation
-    from rmrc.control.methods import MethodEngine
+    from rmrc.engine.closed_form import MethodEngine
+    from rmrc.engine.python import PythonEngine
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rmrc.errors import ModelError, instead
-from rmrc.model.source import Source
+from rmrc.text.source import Source
 
 MENAGERIE, DESCRIPTIONS = "menagerie:", "robot_descriptions:"
 ENDINGS = (".xml", ".mjcf", ".urdf", ".xacro")

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rmrc.model.source import Offset
+from rmrc.text.source import Offset
 
 _OBJECTS = {
     "site": mujoco.mjtObj.mjOBJ_SITE,

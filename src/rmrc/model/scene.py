@@ -21,9 +21,9 @@ from rmrc.model.meshes import Assets
 from rmrc.model.offsets import add_sites, place_sites
 from rmrc.model.packages import Packages
 from rmrc.model.repair import Repairs, name_all
-from rmrc.model.source import Attachment, Offset, Source
 from rmrc.model.urdf import Description, read_urdf
 from rmrc.model.xacro import expand, is_xacro
+from rmrc.text.source import Attachment, Offset, Source
 
 Array = NDArray[np.float64]
 

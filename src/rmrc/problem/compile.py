@@ -11,32 +11,32 @@ import numpy as np
 from mink.tasks import BaseTask
 from numpy.typing import NDArray
 
-from rmrc.config.mistakes import Mistake, config_error
+from rmrc.config.compiled_scene import scene_of
 from rmrc.config.models import Config
 from rmrc.errors import ModelError, SolverError
-from rmrc.model.scene import Scene
-from rmrc.problem.configuration import (
+from rmrc.limits.joints import compile_box, per_joint, select
+from rmrc.limits.rows import compile_barriers, compile_speeds
+from rmrc.model.configuration import (
     dof_of_joint,
     turning_dofs,
 )
-from rmrc.problem.limits.extents import resolution, size
-from rmrc.problem.limits.joints import compile_box, per_joint, select
-from rmrc.problem.limits.rows import compile_barriers, compile_speeds
-from rmrc.problem.objects import (
+from rmrc.model.extents import resolution, size
+from rmrc.model.objects import (
     Objects,
     bodies_of_equality,
     bodies_of_joints,
     claimed_by_mink,
     find_objects,
 )
+from rmrc.model.scene import Scene
 from rmrc.problem.problem import Problem
-from rmrc.problem.scene import scene_of
 from rmrc.problem.start import place_mocap_bodies, start_configuration
-from rmrc.problem.tasks.base import BendingTerm, FieldError, Term, weight_array
-from rmrc.problem.tasks.freeze import FreezeTerm
-from rmrc.problem.tasks.kinetic_energy import KineticEnergyTerm
-from rmrc.problem.tasks.loop import LoopTask, LoopTerm, equality_name, held_by_default
 from rmrc.qp.backends import create
+from rmrc.tasks.base import BendingTerm, FieldError, Term, weight_array
+from rmrc.tasks.freeze import FreezeTerm
+from rmrc.tasks.kinetic_energy import KineticEnergyTerm
+from rmrc.tasks.loop import LoopTask, LoopTerm, equality_name, held_by_default
+from rmrc.text.mistakes import Mistake, config_error
 
 Array = NDArray[np.float64]
 Result = TypeVar("Result")

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.carrier import Carrier, carrier_of
+from rmrc.model.carrier import Carrier, carrier_of
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Evaluator, Term
+from rmrc.tasks.base import Evaluator, Term
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from rmrc.config.models import Config
 from rmrc.errors import ModelError, unknown_name
-from rmrc.problem.limits.barrier import BarrierLimit
-from rmrc.problem.limits.box import Box
-from rmrc.problem.limits.extents import FINEST
-from rmrc.problem.limits.speed import FrameSpeed
-from rmrc.problem.objects import Objects
-from rmrc.problem.tasks.base import Term
-from rmrc.problem.tasks.frame import FrameTerm
+from rmrc.limits.barrier import BarrierLimit
+from rmrc.limits.box import Box
+from rmrc.limits.speed import FrameSpeed
+from rmrc.model.extents import FINEST
+from rmrc.model.objects import Objects
+from rmrc.tasks.base import Term
+from rmrc.tasks.frame import FrameTerm
 
 Array = NDArray[np.float64]
 

@@ -6,17 +6,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.limits import LimitsModel
-from rmrc.model.keyframes import HOME
-from rmrc.model.scene import Scene
-from rmrc.problem.configuration import (
+from rmrc.limits.joints import held_ranges, listed
+from rmrc.limits.models import LimitsModel
+from rmrc.model.configuration import (
     QPOS_WIDTH,
     joint_type,
     normalized,
     resolve_configuration,
 )
-from rmrc.problem.frames import find, names
-from rmrc.problem.limits.joints import held_ranges, listed
+from rmrc.model.frames import find, names
+from rmrc.model.keyframes import HOME
+from rmrc.model.scene import Scene
 
 Array = NDArray[np.float64]
 Start = str | Sequence[float] | Mapping[str, float] | None

@@ -7,10 +7,9 @@ import numpy as np
 from mink.tasks import BaseTask
 from numpy.typing import NDArray
 
+from rmrc.limits.box import BoxLimit
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.limits.box import BoxLimit
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term, square_root
 from rmrc.qp.braking import Braking
 from rmrc.qp.cascade import Level
 from rmrc.qp.curvature import Curvature
@@ -19,6 +18,7 @@ from rmrc.qp.equalities import Equalities
 from rmrc.qp.foreign import checked, parts, unpacked
 from rmrc.qp.program import QP
 from rmrc.qp.yielding import Yielding
+from rmrc.tasks.base import Term, square_root
 
 Array = NDArray[np.float64]
 

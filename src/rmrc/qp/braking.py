@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.limits.box import Box
+from rmrc.limits.box import Box
 
 Array = NDArray[np.float64]
 

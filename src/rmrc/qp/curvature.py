@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.problem.configuration import turning_dofs
+from rmrc.model.configuration import turning_dofs
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import BendingTerm, Pull, Term, Way
+from rmrc.tasks.base import BendingTerm, Pull, Term, Way
 
 Array = NDArray[np.float64]
 

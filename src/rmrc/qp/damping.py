@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rmrc.problem.evaluation import Evaluation
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term
+from rmrc.tasks.base import Term
 
 Array = NDArray[np.float64]
 

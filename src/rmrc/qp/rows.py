@@ -6,11 +6,11 @@ import mink
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.limits.barrier import Barrier, Near
+from rmrc.limits.box import braked
+from rmrc.limits.slides import Slides
+from rmrc.limits.speed import SpeedRows
 from rmrc.problem.evaluation import Evaluation
-from rmrc.problem.limits.barrier import Barrier, Near
-from rmrc.problem.limits.box import braked
-from rmrc.problem.limits.slides import Slides
-from rmrc.problem.limits.speed import SpeedRows
 from rmrc.problem.problem import Problem
 from rmrc.qp.foreign import checked, parts
 from rmrc.qp.program import QP

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.problem.problem import Problem
-from rmrc.problem.tasks.base import Term, square_root
 from rmrc.qp.cascade import Level
 from rmrc.qp.curvature import Curvature
 from rmrc.qp.equalities import Equalities
 from rmrc.qp.program import QP
 from rmrc.qp.relax import INCONSISTENT
+from rmrc.tasks.base import Term, square_root
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationError
 
-from rmrc.config.base import Model, Number
-from rmrc.config.explain import explain
-from rmrc.config.mistakes import config_error
 from rmrc.errors import RmrcError
+from rmrc.text.base import Model, Number
+from rmrc.text.explain import explain
+from rmrc.text.mistakes import config_error
 
 Count = Annotated[int, Field(strict=True, ge=0)]
 Truth = Annotated[bool, Field(strict=True)]

@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rmrc.problem.configuration import joint_dofs, joint_type
-from rmrc.problem.limits.joints import held_ranges
+from rmrc.limits.joints import held_ranges
+from rmrc.model.configuration import joint_dofs, joint_type
 from rmrc.problem.problem import Problem
 
 PACKAGES = ("rmrc", "mujoco", "mink", "numpy", "daqp", "proxsuite", "osqp", "qpsolvers")

@@ -13,7 +13,7 @@ from rmrc.record.page import badge, card, cell, escape, quantity, write_page
 from rmrc.record.plots import SINGULAR_VALUE, line_panel, mark, page_data
 
 if TYPE_CHECKING:
-    from rmrc.record.compare import Comparison, Entry
+    from rmrc.runs.compare import Comparison, Entry
 
 Array = NDArray[np.float64]
 Style = dict[str, Any]

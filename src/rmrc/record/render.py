@@ -15,13 +15,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.config.base import Frame
+from rmrc.config.compiled_scene import scene_of
 from rmrc.config.models import Config
 from rmrc.errors import RmrcError
-from rmrc.problem.frames import resolve
-from rmrc.problem.scene import scene_of
+from rmrc.model.frames import resolve
 from rmrc.problem.start import place_mocap_bodies
 from rmrc.record.run import Run
+from rmrc.text.base import Frame
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -1,0 +1,1 @@
+"""Whole runs: solving, comparing, checking, and what stands around them."""

@@ -1,0 +1,1 @@
+"""From text to documents with positions: reading, stacks, overrides, mistakes."""
