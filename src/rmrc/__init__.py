@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from rmrc.config.models import Config
     from rmrc.control.batch import BatchController, BatchStep
     from rmrc.control.controller import Controller
-    from rmrc.control.step import Status, Step
+    from rmrc.control.status import Status
+    from rmrc.control.step import Step
     from rmrc.errors import ConfigError, ModelError, RmrcError, SolverError
     from rmrc.paths import (
         ArcPath,
@@ -81,7 +82,7 @@ _HOMES = {
     "Run": "rmrc.record.run",
     "SmoothTask": "rmrc.tasks",
     "SolverError": "rmrc.errors",
-    "Status": "rmrc.control.step",
+    "Status": "rmrc.control.status",
     "Step": "rmrc.control.step",
     "VelocityTask": "rmrc.tasks",
     "WaypointsPath": "rmrc.paths",

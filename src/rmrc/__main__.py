@@ -2,8 +2,7 @@
 
 import sys
 
-INTERRUPTED = 130
-"""Exit code of what is interrupted before there is anything to save, as a shell has it."""
+from rmrc.errors import INTERRUPTED
 
 
 def main() -> None:

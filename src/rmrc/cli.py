@@ -13,8 +13,7 @@ from rich.console import Console
 from rich.markup import escape as escape_markup
 from rich.table import Table
 
-from rmrc.__main__ import INTERRUPTED
-from rmrc.errors import RmrcError, printable, printable_lines
+from rmrc.errors import INTERRUPTED, RmrcError, printable, printable_lines
 
 NOT_CONVERGED, WRONG_INPUT, OUR_FAULT = 1, 2, 3
 """Exit codes; 0 is success."""

@@ -12,6 +12,10 @@ MOST_COMPARED = 200
 """Known names that a wrong one is compared with: alike names take difflib a millisecond each."""
 
 
+INTERRUPTED = 130
+"""Exit code of what is interrupted before there is anything to save, as a shell has it."""
+
+
 class RmrcError(Exception):
     """Base of everything that rmrc raises on purpose; its message is safe to print."""
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from models import REPOSITORY
-from rmrc.control.step import Status
+from rmrc.control.status import Status
 
 SOURCES = sorted(
     path for path in (REPOSITORY / "native").glob("*/*.[ch]pp") if path.parent.name != "tests"

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 import rmrc
 from rmrc import Problem, Step
 from rmrc.control.engines import Engine
-from rmrc.control.step import ACTIVE_MULTIPLIER
+from rmrc.control.status import ACTIVE_MULTIPLIER
 from rmrc.engine.python import CERTIFIED
 from rmrc.limits.box import braked
 from rmrc.qp.program import Solution, SolveStatus

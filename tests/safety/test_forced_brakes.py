@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 import rmrc
 from models import config
-from rmrc.control.step import Status
+from rmrc.control.status import Status
 
 D_MIN = 0.05
 KEPT = 1e-6

@@ -13,7 +13,7 @@ from mink.tasks import BaseTask, Objective
 import rmrc
 from braking import left_of
 from models import config
-from rmrc.control.step import Status
+from rmrc.control.status import Status
 
 A_MAX = 20.0
 V_MAX = 2.0

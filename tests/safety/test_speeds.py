@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import rmrc
 from models import config
-from rmrc.control.step import Status
+from rmrc.control.status import Status
 from rmrc.qp.program import QP
 
 clarabel: Any = pytest.importorskip("clarabel", reason="solves the cones; of the extra `test`")

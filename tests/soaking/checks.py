@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rmrc
-from rmrc.control.step import Status, Step
+from rmrc.control.status import Status
+from rmrc.control.step import Step
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import QP, Solution, SolveStatus
 from soaking.contract import Contract

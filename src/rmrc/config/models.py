@@ -16,13 +16,13 @@ from rmrc.config.scene import SceneValue
 from rmrc.limits.models import LimitsModel, Off, PerJoint
 from rmrc.paths import PathConfig
 from rmrc.tasks import Task
+from rmrc.text.annotations import NameOf
 from rmrc.text.base import (
     JointName,
     KeyframeName,
     MocapName,
     Model,
     Name,
-    NameOf,
     NonNegative,
     Number,
     Positive,

@@ -8,8 +8,7 @@ import mujoco
 
 from rmrc.errors import unknown_name
 from rmrc.model.frames import names
-from rmrc.text.annotations import bare, choose, entries, inside, members, tag_key
-from rmrc.text.base import NameKind, NameOf
+from rmrc.text.annotations import NameKind, NameOf, bare, choose, entries, inside, members, tag_key
 from rmrc.text.document import Location
 from rmrc.text.mistakes import MOST_MISTAKES, Mistake, clipped
 

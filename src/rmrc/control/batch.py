@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rmrc.control.controller import FAILED, Controller, seconds_of
 from rmrc.control.engines import Choice
 from rmrc.control.inputs import Configurations, numbers
-from rmrc.control.step import Status
+from rmrc.control.status import Status
 from rmrc.errors import ModelError, RmrcError
 from rmrc.problem.problem import Problem
 

@@ -2,17 +2,19 @@
 
 import math
 from time import perf_counter
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn, cast
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rmrc.control.context import Moment
 from rmrc.control.engines import Choice, build_engine
 from rmrc.control.fast.calls import quick_step, quick_target
 from rmrc.control.inputs import LARGEST, Configurations, Targets, counted_from
 from rmrc.control.progress import Progress
-from rmrc.control.step import ACTIVE_MULTIPLIER, Made, Moment, Status, Step
+from rmrc.control.status import ACTIVE_MULTIPLIER, Status
+from rmrc.control.step import Made, Step
 from rmrc.engine.closed_form import UNCERTIFIED
 from rmrc.errors import ModelError, RmrcError, unknown_name
 from rmrc.limits.box import braked
@@ -20,6 +22,10 @@ from rmrc.limits.contacts import ELSEWHERE
 from rmrc.model.frames import names
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
+
+if TYPE_CHECKING:
+    from rmrc._native import Stepper
+    from rmrc.native.engine import NativeEngine
 
 Array = NDArray[np.float64]
 
@@ -75,12 +81,19 @@ class Controller:
         self._lag = problem.lag if problem.lag.any() else None
         self._elsewhere = ELSEWHERE * float(problem.box.velocity.max(initial=0.0))
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
-        self.stepper = self.engine.stepper(self._q, self._v)
+        self.stepper = self._new_stepper()
         """What takes the common steps in the extension; None where Python takes them all."""
         self._progress = self.stepper or Progress(problem, self._evaluation, self.engine.assembly)
         self.failures = 0
         """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
+
+    def _new_stepper(self) -> "Stepper | None":
+        if not self.engine.steps_alone:
+            return None
+        from rmrc.control.fast.steps import build_stepper  # there is the extension
+
+        return build_stepper(cast("NativeEngine", self.engine), self._q, self._v)
 
     def __reduce__(self) -> NoReturn:
         raise RmrcError(

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.context import Moment
 from rmrc.control.joint_bounds import JointBounds
 from rmrc.control.reasons import Reason, reasons
-from rmrc.control.step import ACTIVE_MULTIPLIER, Moment, Status
+from rmrc.control.status import ACTIVE_MULTIPLIER, Status
 from rmrc.engine.closed_form import PASSED
 from rmrc.errors import printable
 from rmrc.model.configuration import turning_dofs

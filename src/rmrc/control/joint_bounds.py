@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.control.step import Moment
+from rmrc.control.context import Moment
 from rmrc.limits.box import BoxLimit
 from rmrc.limits.joints import joint_name
 from rmrc.model.configuration import joint_type

@@ -7,9 +7,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.context import Moment
 from rmrc.control.joint_bounds import JointBounds
 from rmrc.control.progress import REST
-from rmrc.control.step import ACTIVE_MULTIPLIER, Moment
+from rmrc.control.status import ACTIVE_MULTIPLIER
 from rmrc.limits.pairs import BETWEEN
 from rmrc.qp.backends import create
 from rmrc.qp.program import QP, Solution

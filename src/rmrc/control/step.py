@@ -1,68 +1,20 @@
 """`Step` and `Status`: what a controller returns, and what happened on the way."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from copy import deepcopy
-from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
-from weakref import WeakKeyDictionary
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.control.context import Moment, Packed
+from rmrc.control.explain import Explanation, explain
+from rmrc.control.status import Status
 from rmrc.errors import printable
-from rmrc.problem.evaluation import Kept
-from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution
-from rmrc.qp.rows import KeptRows, PackedRows
-
-if TYPE_CHECKING:
-    from rmrc.control.explain import Explanation
-    from rmrc.engine.closed_form import MethodEngine
-    from rmrc.engine.python import PythonEngine
 
 Array = NDArray[np.float64]
-
-ACTIVE_MULTIPLIER = 1e-7
-"""A limit is active where its multiplier is above this, in the program's unit."""
-
-
-class Status(IntEnum):
-    """What happened in a step, in the order of severity."""
-
-    OK = 0
-    LIMITED = 1
-    SCALED = 2
-    DAMPED = 3
-    RECOVERING = 4
-    RELAXED = 5
-    STUCK = 6
-    MAX_ITER = 7
-    DEADLINE = 8
-    STALE = 9
-    INVALID_INPUT = 10
-
-    @property
-    def advice(self) -> str:
-        """One sentence on what the status means and what to do about it."""
-        return ADVICE[self]
-
-
-ADVICE = {
-    Status.OK: "Solved; no limit is active.",
-    Status.LIMITED: "Solved; a limit is active, so the task may lag behind, or passed by a method "
-    "that keeps none.",
-    Status.SCALED: "A direction-preserving task runs slower than asked, to stay inside the limits.",
-    Status.DAMPED: "The damping is above its floor: near a singularity, or far from the target.",
-    Status.RECOVERING: "A joint or a distance is outside its limit and is moving back inside.",
-    Status.RELAXED: "A collision or equality row could not hold and was given slack.",
-    Status.STUCK: "The robot rests, and an error is above tolerance; `explain` says why.",
-    Status.MAX_ITER: "The solver gave no certified optimum; v is a feasible point or braking.",
-    Status.DEADLINE: "The solver ran out of its time budget; v is a feasible point.",
-    Status.STALE: "The target or the measurement is older than its timeout; the robot is braking.",
-    Status.INVALID_INPUT: "An input was not valid: a bad target is ignored, all else brakes.",
-}
 
 
 class Errors(Mapping[str, Array]):
@@ -90,74 +42,6 @@ class Errors(Mapping[str, Array]):
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
-
-
-class Moment:
-    """What a step was computed from, kept so that it can be explained later."""
-
-    __slots__ = (
-        "_kept",
-        "_rows",
-        "a_previous",
-        "dt",
-        "engine",
-        "error",
-        "invalid",
-        "q",
-        "share",
-        "v_previous",
-    )
-
-    def __init__(
-        self,
-        engine: "PythonEngine | MethodEngine",
-        q: Array,
-        v_previous: Array,
-        a_previous: Array,
-        dt: float,
-        kept: Kept | None = None,
-        rows: KeptRows | None = None,
-        share: float = 1.0,
-        invalid: tuple[str, ...] = (),
-    ):
-        self.engine, self.invalid = engine, invalid
-        self.q, self.v_previous, self.a_previous, self.dt = q, v_previous, a_previous, dt
-        if kept is None:
-            self._kept, self.share = engine.evaluation.keep(), engine.share
-            self._rows = engine.rows.kept() if engine.rows.count else None
-        else:
-            self._kept, self.share, self._rows = kept, share, rows
-        self.error = self._kept.error
-
-    @contextmanager
-    def restored(self) -> Iterator[None]:
-        """Have the engine at this moment again, and afterwards its targets as they were."""
-        engine = self.engine
-        now = Moment(engine, self.q, self.v_previous, self.a_previous, self.dt)
-        memory = [array for barrier in engine.rows.barriers for array in barrier.memory]
-        remembered = [array.copy() for array in memory]
-        engine.evaluation.restore(self._kept)
-        engine.evaluation.a_previous[:] = self.a_previous
-        engine.prepare(self.q, self.v_previous, self.dt)
-        try:
-            yield
-        finally:
-            engine.evaluation.restore(now._kept)
-            for array, values in zip(memory, remembered, strict=True):
-                array[:] = values
-
-    def packed(self) -> "Packed":
-        """Return what there is to it without the engine."""
-        rows = self._rows and self._rows.packed(self.engine.rows)
-        return Packed(
-            *(self.engine.problem, self.q, self.v_previous, self.a_previous, self.dt),
-            *(self._kept, rows, self.share, self.invalid),
-        )
-
-    def named_row(self, row: int) -> tuple[str, str, float, float]:
-        """Return the kind of limit that a row belongs to, what it is of, its lo and its hi."""
-        assert self._rows is not None
-        return self._rows.described(row)
 
 
 class Source(Protocol):
@@ -191,36 +75,6 @@ class Made(NamedTuple):
     q: Array
     solution: Solution
     moment: Moment
-
-
-class Packed(NamedTuple):
-    """A moment without its engine."""
-
-    problem: Problem
-    q: Array
-    v_previous: Array
-    a_previous: Array
-    dt: float
-    kept: Kept
-    rows: PackedRows | None
-    share: float
-    invalid: tuple[str, ...]
-
-    def unpacked(self) -> Moment:
-        """Return the moment with an engine for the problem, the same one for all of its steps."""
-        from rmrc.control.engines import build_engine  # which needs this module
-
-        engine = _ENGINES.get(self.problem)
-        if engine is None:
-            engine = _ENGINES[self.problem] = build_engine(self.problem, "python")[0]
-        rows = self.rows and self.rows.unpacked(engine.rows)
-        return Moment(
-            *(engine, self.q, self.v_previous, self.a_previous, self.dt),
-            *(self.kept, rows, self.share, self.invalid),
-        )
-
-
-_ENGINES: WeakKeyDictionary[Problem, Any] = WeakKeyDictionary()
 
 
 class Unpickled:
@@ -284,8 +138,6 @@ class Step:
 
     def explain(self) -> "Explanation":
         """Return what binds, what each task asked for and got, and which limit would help most."""
-        from rmrc.control.explain import explain  # which needs this module
-
         return explain(self)
 
     @property

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,6 @@ from rmrc.qp.program import KKT, Solution, SolveStatus
 from rmrc.qp.rows import Rows
 from rmrc.tasks.base import Term, square_root
 from rmrc.text.mistakes import Mistake, config_error
-
-if TYPE_CHECKING:
-    from rmrc._native import Stepper
 
 Array = NDArray[np.float64]
 
@@ -269,9 +265,10 @@ class MethodEngine:
     def _slice(self, term: Term) -> slice:
         return self.evaluation.rows_of([term])
 
-    def stepper(self, q: Array, v: Array) -> "Stepper | None":
-        """Return what takes a controller's common steps without Python; nothing does."""
-        return None
+    @property
+    def steps_alone(self) -> bool:
+        """Whether the extension can take a controller's common steps without Python."""
+        return False
 
     def reset(self) -> None:
         """A closed form remembers nothing."""

@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,6 @@ from rmrc.qp.equalities import Held
 from rmrc.qp.program import QP, Solution, SolveStatus
 from rmrc.qp.relax import INCONSISTENT, least_violation
 from rmrc.qp.rows import Rows
-
-if TYPE_CHECKING:
-    from rmrc._native import Stepper
 
 Array = NDArray[np.float64]
 
@@ -140,9 +136,10 @@ class PythonEngine:
         """Whether the damping of the last step was above its floor."""
         return self._assembly.damped
 
-    def stepper(self, q: Array, v: Array) -> "Stepper | None":
-        """Return what takes a controller's common steps without Python; here nothing does."""
-        return None
+    @property
+    def steps_alone(self) -> bool:
+        """Whether the extension can take a controller's common steps without Python."""
+        return False
 
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""

@@ -4,13 +4,13 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from rmrc.text.annotations import NameOf
 from rmrc.text.base import (
     Direction,
     FrameName,
     JointName,
     Model,
     Name,
-    NameOf,
     NonNegative,
     Number,
     Positive,

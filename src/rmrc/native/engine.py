@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
-from rmrc.control.fast.steps import Layout, build_stepper
 from rmrc.engine.python import PythonEngine
 from rmrc.errors import SolverError
 from rmrc.limits.tendon import TendonRanges
 from rmrc.model.extents import dofs_of_bodies
 from rmrc.model.frames import FrameHandle
 from rmrc.native import kinematics as native_kinematics
+from rmrc.native.layout import Layout
 from rmrc.native.levels import HeldRows, LoopParts, descend, has_evaluator, hold
 from rmrc.native.rows import NativeRows, NativeShortening
 from rmrc.problem.problem import Problem
@@ -364,21 +364,20 @@ class NativeEngine(PythonEngine):
         self._native.forget()
         super().reset()
 
-    def stepper(self, q: Array, v: Array) -> _native.Stepper | None:
-        """Return what takes a controller's common steps in C++; None where every step is rare.
+    @property
+    def native(self) -> _native.Engine:
+        """The engine of the extension."""
+        return self._native
 
-        Args:
-            q: The controller's configuration (nq,), and where a step leads to.
-            v: Its last command (nv,), and the next.
-        """
+    @property
+    def steps_alone(self) -> bool:
+        """Whether the extension can take a controller's common steps without Python."""
         problem = self.problem
         if not self._alone or self._foreign:
-            return None
+            return False
         timed = min(problem.target_timeout, problem.measurement_timeout) < math.inf
         measures = problem.config.previous == "measured" or problem.lag.any()
-        if timed or measures or np.isfinite(problem.box.jerk).any():
-            return None
-        return build_stepper(self, self._native, q, v)
+        return not (timed or measures or np.isfinite(problem.box.jerk).any())
 
     def solve(self, q: Array, v_previous: Array, dt: float) -> Solution:
         """Return the solution at q (nq,) for a step of dt seconds, or the brake."""

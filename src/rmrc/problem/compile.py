@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rmrc.config.compiled_scene import scene_of
 from rmrc.config.models import Config
+from rmrc.config.solvers import require
 from rmrc.errors import ModelError, SolverError
 from rmrc.limits.joints import compile_box, per_joint, select
 from rmrc.limits.rows import compile_barriers, compile_speeds
@@ -31,7 +32,6 @@ from rmrc.model.objects import (
 from rmrc.model.scene import Scene
 from rmrc.problem.problem import Problem
 from rmrc.problem.start import place_mocap_bodies, start_configuration
-from rmrc.qp.backends import create
 from rmrc.tasks.base import BendingTerm, FieldError, Term, weight_array
 from rmrc.tasks.freeze import FreezeTerm
 from rmrc.tasks.kinetic_energy import KineticEnergyTerm
@@ -241,7 +241,7 @@ class _Compiler:
         solver = self._config.solver
         self._try(
             ("solver", "backend"),
-            lambda: create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance),
+            lambda: require(solver.backend, solver.max_iter, solver.tolerance),
         )
 
     def _try_mink(

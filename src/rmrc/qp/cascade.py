@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.qp.backends import Backend
+from rmrc.qp.backends.base import Backend
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.polish import Polish
 from rmrc.qp.program import KKT, QP, Solution, SolveStatus

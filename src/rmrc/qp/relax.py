@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rmrc.qp.backends import Backend, create
+from rmrc.qp.backends import create
+from rmrc.qp.backends.base import Backend
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Solution, SolveStatus
 

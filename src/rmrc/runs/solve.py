@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rmrc.config.models import Config
 from rmrc.control.controller import Controller
-from rmrc.control.step import ACTIVE_MULTIPLIER, Status, Step
+from rmrc.control.status import ACTIVE_MULTIPLIER, Status
+from rmrc.control.step import Step
 from rmrc.engine.closed_form import shortcomings
 from rmrc.problem.compile import compile
 from rmrc.problem.problem import Problem

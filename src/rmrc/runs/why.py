@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from rmrc.config.models import Config
 from rmrc.control.controller import Controller
 from rmrc.control.explain import Explanation, explain
-from rmrc.control.step import Status
+from rmrc.control.status import Status
 from rmrc.errors import RmrcError
 from rmrc.problem.compile import compile
 from rmrc.record.run import Run

@@ -17,7 +17,8 @@ from rmrc.model.frames import OBJECTS, in_subtree, names
 from rmrc.model.objects import Objects
 from rmrc.tasks.base import Array, FieldError, GainedTask, Term
 from rmrc.tasks.manipulability import joint_dofs_above
-from rmrc.text.base import NameOf, NonNegative, Positive, Subtree
+from rmrc.text.annotations import NameOf
+from rmrc.text.base import NonNegative, Positive, Subtree
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation

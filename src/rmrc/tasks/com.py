@@ -23,7 +23,8 @@ from rmrc.tasks.base import (
     WeightedTask,
     weight_array,
 )
-from rmrc.text.base import NameOf, Positive
+from rmrc.text.annotations import NameOf
+from rmrc.text.base import Positive
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation

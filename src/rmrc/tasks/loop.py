@@ -22,7 +22,7 @@ from rmrc.tasks.base import (
     WeightedTask,
     weight_array,
 )
-from rmrc.text.base import NameOf
+from rmrc.text.annotations import NameOf
 
 if TYPE_CHECKING:
     from rmrc.problem.evaluation import Evaluation

@@ -1,6 +1,7 @@
 """The models' annotations, walked alongside data: which type is meant, which keys there are."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -10,7 +11,25 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import SkipJsonSchema
 
-from rmrc.text.base import NameOf
+NameKind = Literal[
+    "site",
+    "body",
+    "geom",
+    "joint",
+    "keyframe",
+    "equality",
+    "geom or body",
+    "mocap body",
+    "site or body or geom",
+]
+
+
+@dataclass(frozen=True)
+class NameOf:
+    """Marks a string of the configuration as the name of something in the MuJoCo model."""
+
+    kind: NameKind
+
 
 _PYTHONS: Any = SkipJsonSchema
 """Marks what no file can say."""

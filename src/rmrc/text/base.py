@@ -1,8 +1,7 @@
 """The base class and the value types that every part of a configuration is made of."""
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import (
@@ -15,6 +14,9 @@ from pydantic import (
     model_validator,
 )
 
+from rmrc.text.annotations import NameOf
+from rmrc.text.explain import explain
+from rmrc.text.mistakes import config_error
 from rmrc.text.source import FrameKind, Offset
 
 FRAME_KINDS: tuple[FrameKind, ...] = ("site", "body", "geom")
@@ -24,26 +26,6 @@ SEMIDEFINITE_TOLERANCE = 1e-9
 
 LARGEST_NUMBER = 1e100
 """Size of the largest number that is taken: what is computed from its square is still a float."""
-
-
-NameKind = Literal[
-    "site",
-    "body",
-    "geom",
-    "joint",
-    "keyframe",
-    "equality",
-    "geom or body",
-    "mocap body",
-    "site or body or geom",
-]
-
-
-@dataclass(frozen=True)
-class NameOf:
-    """Marks a string of the configuration as the name of something in the MuJoCo model."""
-
-    kind: NameKind
 
 
 class _Explaining(type(BaseModel)):
@@ -56,9 +38,6 @@ class _Explaining(type(BaseModel)):
         try:
             return super().__call__(*args, **values)
         except ValidationError as error:
-            from rmrc.text.explain import explain  # which needs this module
-            from rmrc.text.mistakes import config_error
-
             raise config_error(explain(cls, values, error)) from None
 
 

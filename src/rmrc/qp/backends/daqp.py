@@ -5,7 +5,7 @@ from math import inf, isnan
 import daqp
 import numpy as np
 
-from rmrc.qp.backends import Backend
+from rmrc.qp.backends.base import Backend
 from rmrc.qp.program import QP, Solution, SolveStatus
 
 INFINITY = 1e30

@@ -1,7 +1,7 @@
 """The solver of the native engine, an active-set method of our own (see native/README.md)."""
 
 from rmrc._native import QPSolver
-from rmrc.qp.backends import Backend
+from rmrc.qp.backends.base import Backend
 from rmrc.qp.program import QP, Solution, SolveStatus
 
 MOST_CHANGES = 10_000

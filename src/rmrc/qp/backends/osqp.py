@@ -6,7 +6,7 @@ import numpy as np
 import osqp
 from scipy.sparse import csc_matrix
 
-from rmrc.qp.backends import Backend
+from rmrc.qp.backends.base import Backend
 from rmrc.qp.program import QP, Array, Solution, SolveStatus
 
 STATUS = {

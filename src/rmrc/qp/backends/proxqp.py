@@ -5,7 +5,7 @@ from time import perf_counter
 import numpy as np
 from proxsuite import proxqp  # pyright: ignore[reportMissingImports]
 
-from rmrc.qp.backends import Backend
+from rmrc.qp.backends.base import Backend
 from rmrc.qp.backends.pace import Pace
 from rmrc.qp.program import QP, Solution, SolveStatus
 

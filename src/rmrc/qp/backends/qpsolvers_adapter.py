@@ -1,9 +1,8 @@
 """Any other solver, through qpsolvers: without a workspace, cold at every solve."""
 
-from importlib.metadata import metadata
 from math import inf
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -11,37 +10,11 @@ import qpsolvers
 from numpy.typing import ArrayLike
 from scipy.sparse import csc_matrix
 
-from rmrc.errors import SolverError, unknown_name
-from rmrc.qp.backends import BACKENDS, Backend
+from rmrc.config.solvers import SETTINGS, Settings
+from rmrc.qp.backends.base import Backend
 from rmrc.qp.backends.pace import Pace
 from rmrc.qp.program import QP, Array, Solution, SolveStatus
 
-
-class Settings(NamedTuple):
-    """What a solver calls its settings; it has none for what is empty."""
-
-    iterations: str = ""
-    tolerances: tuple[str, ...] = ()
-    seconds: str = ""
-
-
-SETTINGS = {
-    "clarabel": Settings("max_iter", ("tol_gap_abs", "tol_gap_rel", "tol_feas"), "time_limit"),
-    "copt": Settings(seconds="TimeLimit"),
-    "cvxopt": Settings("maxiters", ("abstol", "reltol", "feastol")),
-    "daqp": Settings("iter_limit", ("primal_tol",), "time_limit"),
-    "ecos": Settings("max_iters", ("abstol", "reltol", "feastol")),
-    "gurobi": Settings(seconds="TimeLimit"),
-    "highs": Settings(seconds="time_limit"),
-    "osqp": Settings("max_iter", ("eps_abs",), "time_limit"),
-    "pdhcg": Settings(seconds="TimeLimit"),
-    "piqp": Settings("max_iter", ("eps_abs",)),
-    "qpalm": Settings("max_iter", ("eps_abs",), "time_limit"),
-    "qpoases": Settings(seconds="time_limit"),
-    "scs": Settings("max_iters", ("eps_abs",), "time_limit_secs"),
-    "sip": Settings(seconds="time_limit"),
-}
-"""The settings of the solvers; one that is not here has none."""
 LEAST_TIME = 1e-9
 """Time limit of a solve whose time is over before it is begun, s."""
 
@@ -51,27 +24,20 @@ class QpsolversAdapter(Backend):
 
     qpsolvers does not tell the iterations nor why there is no solution: `iterations` is 0, and
     what is not solved is FAILED, or TIME_LIMIT if its time is over. A solver without a time limit
-    is not begun where its earlier solves took longer than the time left. Raises SolverError for a
-    name that qpsolvers does not know, a solver that is not installed, or a setting that the solver
-    does not have.
+    is not begun where its earlier solves took longer than the time left.
     """
 
     def __init__(
         self, name: str, max_iter: int | None = None, tolerance: float | None = None
     ) -> None:
         super().__init__(polished=True)
-        _require(name)
         self._name = name
         self._sparse = name not in qpsolvers.dense_solvers
         settings = SETTINGS.get(name, Settings())
         self._options: dict[str, Any] = {}
         if max_iter is not None:
-            if not settings.iterations:
-                raise SolverError(f"the QP backend '{name}' takes no max_iter")
             self._options[settings.iterations] = max_iter
         if tolerance is not None:
-            if not settings.tolerances:
-                raise SolverError(f"the QP backend '{name}' takes no tolerance")
             self._options.update(dict.fromkeys(settings.tolerances, tolerance))
         self._time_limit, self._pace = settings.seconds, Pace()
 
@@ -132,17 +98,3 @@ def _set(multiplier: Array, found: ArrayLike | None) -> None:
     """Copy a multiplier that the solver may have left out."""
     if found is not None and np.size(found):
         multiplier[:] = found
-
-
-def _require(name: str) -> None:
-    """Raise SolverError unless qpsolvers has the solver installed."""
-    if name in qpsolvers.available_solvers:
-        return
-    others = [other for other in qpsolvers.available_solvers if other not in BACKENDS]
-    if not hasattr(qpsolvers.solvers, f"{name}_solve_problem"):
-        raise SolverError(unknown_name("QP backend", name, [*BACKENDS, *others]))
-    if name in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
-        advice = f"pip install 'qpsolvers[{name}]'"
-    else:
-        advice = "the documentation of qpsolvers says where it comes from"
-    raise SolverError(f"the QP backend '{name}' is not installed: {advice}")
