@@ -36,6 +36,7 @@ lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python native/check_includes.py
+	$(BIN)/lint-imports
 	$(BIN)/pyright
 
 bench: $(VENV)/test.stamp

@@ -1,11 +1,15 @@
 """Many controllers at once in C++: their states in the extension, one engine for each thread."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
-from rmrc.control.controller import Controller
 from rmrc.problem.problem import Problem
+
+if TYPE_CHECKING:
+    from rmrc.control.controller import Controller
 
 Array = NDArray[np.float64]
 
@@ -13,7 +17,7 @@ Array = NDArray[np.float64]
 class NativeBatch:
     """Takes the steps of `count` elements, on one thread for each controller."""
 
-    def __init__(self, problem: Problem, controllers: list[Controller], count: int):
+    def __init__(self, problem: Problem, controllers: list["Controller"], count: int):
         self._count, self._nq, self._nv = count, problem.model.nq, problem.model.nv
         self._native = _native.Batch(
             count=count,
