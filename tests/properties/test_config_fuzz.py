@@ -63,7 +63,7 @@ tasks:
 limits:
   velocity: {default: 2.0}
 """
-SCENE = (Path(__file__).parents[1] / "unit" / "golden" / "config" / "arm.xml").read_text()
+SCENE = (Path(__file__).parents[1] / "unit" / "text" / "golden" / "config" / "arm.xml").read_text()
 
 
 def refuses(config: Path) -> bool:

@@ -40,7 +40,7 @@ class Curvature:
     A force that turns about a point n away as the frame moves adds ‖v_i‖ ‖v_j‖ ‖f‖/n to |C_ij|.
     Where i is a hinge and j a slide their rates have two units: the two elements count as ‖u_j‖ L
     and ‖u_j‖/L, with L the model's extent. What the logarithm of a rotation or a unit vector bends
-    beside this is inside the bound, as `tests/unit/test_curvature.py` holds.
+    beside this is inside the bound, as `tests/unit/qp/test_curvature.py` holds.
     """
 
     def __init__(self, problem: Problem, evaluation: Evaluation, leveled: Callable[[Term], Array]):

@@ -9,7 +9,7 @@ import pytest
 from rmrc.config.load import load, parse_override
 from rmrc.errors import ConfigError
 
-GOLDEN = Path(__file__).parent / "golden" / "config"
+GOLDEN = Path(__file__).parents[1] / "text" / "golden" / "config"
 CONFIG = """\
 scene: arm.xml
 tasks:

@@ -10,7 +10,7 @@ from jsonschema import Draft202012Validator
 from rmrc.config.schema import schema
 from rmrc.text.read import read
 
-GOLDEN = Path(__file__).parent / "golden" / "config"
+GOLDEN = Path(__file__).parents[1] / "text" / "golden" / "config"
 FOLDERS = ("configs", "tasks")
 
 

@@ -13,7 +13,7 @@ from rmrc.errors import ConfigError
 from rmrc.text.document import Document
 from rmrc.text.mistakes import MOST_MISTAKES, Mistake, config_error
 
-GOLDEN = Path(__file__).parent / "golden" / "config"
+GOLDEN = Path(__file__).parents[1] / "text" / "golden" / "config"
 CONFIG = """\
 scene: arm.xml
 start: {shoulder: 0.1}

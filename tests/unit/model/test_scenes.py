@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
+SCENES = Path(__file__).resolve().parents[3] / "scenes"
 SITES = {
     "planar_2r": ["hand"],
     "planar_3r": ["hand"],

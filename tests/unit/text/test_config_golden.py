@@ -1,6 +1,6 @@
 """The message for each kind of mistake, compared exactly: the texts are what users get.
 
-`python tests/unit/test_config_golden.py` writes the messages anew, to be read before they are
+`python tests/unit/text/test_config_golden.py` writes the messages anew, to be read before they are
 committed.
 """
 
@@ -12,7 +12,7 @@ import pytest
 from rmrc.config.load import load
 from rmrc.errors import ConfigError
 
-GOLDEN = Path(__file__).parent / "golden" / "config"
+GOLDEN = Path(__file__).parents[1] / "text" / "golden" / "config"
 MISTAKEN = sorted(path.name for path in GOLDEN.glob("*.yaml"))
 
 
