@@ -1,11 +1,11 @@
-"""The table of `results.json` for the README: written between its two marks there."""
+"""The table of `results.json` for `docs/speed.md`: written between its two marks there."""
 
 import json
 from typing import Any
 
 from timing import REPOSITORY, RESULTS
 
-README = REPOSITORY / "README.md"
+PAGE = REPOSITORY / "docs" / "speed.md"
 BEGIN, END = "<!-- by bench/table.py -->\n", "<!-- to here -->\n"
 NAMES = {"python": "rmrc, Python engine"}
 TITLES = {
@@ -41,12 +41,12 @@ def table(step: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Write the table of the results into the README."""
-    text = README.read_text(encoding="utf-8")
+    """Write the table of the results into its page."""
+    text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
     made = table(json.loads(RESULTS.read_text(encoding="utf-8"))["step"])
-    README.write_text(f"{before}{BEGIN}\n{made}\n{END}{after}", encoding="utf-8")
+    PAGE.write_text(f"{before}{BEGIN}\n{made}\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":
