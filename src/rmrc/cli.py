@@ -190,7 +190,7 @@ def compare(
     backends: Annotated[
         str | None,
         typer.Option(
-            metavar="A,B,…", help="The solvers of method qp; by default daqp,proxqp,osqp."
+            metavar="A,B,…", help="The solvers of method qp; by default native,daqp,proxqp,osqp."
         ),
     ] = None,
     follow: Annotated[

@@ -52,8 +52,9 @@ Method = Literal[
 class SolverModel(Model):
     """Which QP backend solves, and how."""
 
-    backend: str = "daqp"
-    """daqp, proxqp, osqp, or any other solver that qpsolvers offers."""
+    backend: str = "auto"
+    """`auto`: the native engine's own solver, or daqp in the Python engine. Or daqp, proxqp, osqp,
+    or any other solver that qpsolvers offers: it then solves, whichever engine evaluates."""
     max_iter: Annotated[int, Field(strict=True, ge=1, le=2**31 - 1)] | None = None
     """Most iterations a step may use; by default the backend's own."""
     deadline: Positive | None = None
@@ -172,8 +173,8 @@ class Config(Model):
     actuation: ActuationModel = ActuationModel()
     """The joint controllers and the measurement; only `execute: actuated` reads it."""
     engine: Literal["auto", "python", "native"] = "auto"
-    """What evaluates and solves a step: `native`, in C++, has a solver of its own, and no place for
-    another method, another backend or programs that nothing damps; `auto` takes it where it can."""
+    """What evaluates and solves a step: `native`, in C++, has no place for another method or for
+    programs that nothing damps; `auto` takes it where it can."""
     solver: SolverModel = SolverModel()
     """The QP backend."""
     damping: DampingModel = DampingModel()

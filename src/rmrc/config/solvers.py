@@ -13,6 +13,8 @@ BACKENDS = {
     "osqp": ("rmrc.qp.backends.osqp", "OSQP"),
 }
 """Module and class of each first-class backend: to add one, write its file and its line here."""
+AUTO, DEFAULT = "auto", "daqp"
+"""The name of what an engine takes by itself, and what that is in the Python engine."""
 _PACKAGES = {"proxqp": "proxsuite"}
 """The packages that are not called as the backend is."""
 
@@ -44,12 +46,19 @@ SETTINGS = {
 """The settings of the solvers; one that is not here has none."""
 
 
+def backend_of(name: str) -> str:
+    """Return the backend of the Python engine that a configuration asks for."""
+    return DEFAULT if name == AUTO else name
+
+
 def require(name: str, max_iter: int | None, tolerance: float | None) -> None:
     """Raise SolverError unless there is a solver of that name that takes these settings."""
     if max_iter is not None and max_iter < 1:
         raise SolverError(f"max_iter must be at least 1, not {max_iter}")
     if tolerance is not None and not 0.0 < tolerance < inf:
         raise SolverError(f"tolerance must be positive and finite, not {tolerance}")
+    if name == AUTO:
+        return
     if name in BACKENDS:
         package = _PACKAGES.get(name, name)
         if find_spec(package) is None:

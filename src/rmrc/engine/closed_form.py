@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rmrc import reference
 from rmrc.config.models import Config, DampingModel, SolverModel
+from rmrc.config.solvers import backend_of
 from rmrc.engine.mink_ik import MinkIK, Unsolved, ignored_tasks, unread
 from rmrc.limits.ball import BallRanges
 from rmrc.problem.evaluation import Evaluation
@@ -204,7 +205,7 @@ class MethodEngine:
 
     def __init__(self, problem: Problem):
         self.problem = problem
-        self.backend = problem.config.solver.backend
+        self.backend = backend_of(problem.config.solver.backend)
         self.evaluation = Evaluation(problem)
         self.assembly = Assembly(problem, self.evaluation)
         self.rows = Rows(problem, self.evaluation)

@@ -9,6 +9,7 @@ import numpy as np
 from mink.tasks import BaseTask
 from numpy.typing import NDArray
 
+from rmrc.config.solvers import backend_of
 from rmrc.limits.collision import CollisionPairs
 from rmrc.limits.joints import held_ranges
 from rmrc.model.configuration import joint_dofs, joint_type
@@ -58,7 +59,7 @@ class MinkIK:
                 evaluation.configuration,
                 [*(task for _, task in self._tasks), *problem.mink_tasks],
                 ask.dt,
-                problem.config.solver.backend,
+                backend_of(problem.config.solver.backend),
                 problem.damping**2,
                 limits=self._limits,
                 constraints=self._constraints,

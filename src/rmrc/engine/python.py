@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from rmrc.config.solvers import DEFAULT, backend_of
 from rmrc.engine.backtracking import Shortening
 from rmrc.engine.correction import raise_rows
 from rmrc.limits.box import braked
@@ -68,7 +69,7 @@ class PythonEngine:
 
     def __init__(self, problem: Problem):
         self.problem = problem
-        self.backend = problem.config.solver.backend
+        self.backend = backend_of(problem.config.solver.backend)
         """What solves the programs."""
         self.evaluation = Evaluation(problem)
         self._assembly = Assembly(problem, self.evaluation)
@@ -102,13 +103,13 @@ class PythonEngine:
 
     def _new_backend(self) -> Backend:
         solver = self.problem.config.solver
-        return create(solver.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
+        return create(self.backend, max_iter=solver.max_iter, tolerance=solver.tolerance)
 
     def _other_backend(self) -> Backend:
         """Return one of another kind: a dual method for a primal one, and the other way round."""
         solver = self.problem.config.solver
-        if solver.backend != "daqp":
-            return create("daqp", max_iter=solver.max_iter)
+        if self.backend != DEFAULT:
+            return create(DEFAULT, max_iter=solver.max_iter)
         return create("proxqp", max_iter=min(solver.max_iter or PROXIMAL, PROXIMAL))
 
     def _solver_of(self, qp: QP, other: bool = False) -> _Solver:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc import _native
+from rmrc.config.solvers import AUTO, DEFAULT
 from rmrc.engine.python import PythonEngine
 from rmrc.errors import SolverError
 from rmrc.limits.tendon import TendonRanges
@@ -95,9 +96,7 @@ def lacking(problem: Problem) -> list[str]:
     # The programs of a cascade have a damping of their own.
     if not (problem.cascaded or _definite(problem)):
         found.append("programs without damping")
-    if config.solver.backend != "daqp":
-        found.append(f"backend {config.solver.backend}")
-    if config.solver.tolerance is not None:
+    if config.solver.backend == AUTO and config.solver.tolerance is not None:
         found.append("tolerance of a backend's")
     if any(isinstance(limit, TendonRanges) and not limit.fixed for limit in problem.barriers):
         found.append("range of a tendon with a path in space")
@@ -136,8 +135,10 @@ class NativeEngine(PythonEngine):
     _shortening: NativeShortening | None
 
     def __init__(self, problem: Problem):
+        self._named = problem.config.solver.backend != AUTO  # and so solves, in place of C++
         super().__init__(problem)
-        self.backend = self.name
+        if not self._named:
+            self.backend = self.name
         self.behind = False
         """Whether the extension has taken a step whose rows have not been read."""
         model, data, evaluation = problem.model, self.evaluation.data, self.evaluation
@@ -160,8 +161,9 @@ class NativeEngine(PythonEngine):
             if kind not in _JOINT and not issubclass(kind, rows)
         ]
         hard = any(term.hard for term in evaluation.terms)
-        # Tasks and limits of mink's come behind what C++ has assembled.
-        self._alone = not (problem.mink_tasks or problem.mink_limits)
+        # Tasks and limits of mink's come behind what C++ has assembled, and so does a backend that
+        # is named.
+        self._alone = not (problem.mink_tasks or problem.mink_limits or self._named)
         self._held = hold(self._native, problem, evaluation) if hard else None
         if not self._box_alone:
             self._connect()
@@ -354,10 +356,14 @@ class NativeEngine(PythonEngine):
         return outside
 
     def _new_backend(self) -> Backend:
+        if self._named:
+            return super()._new_backend()
         return Native(self.problem.config.solver.max_iter)
 
     def _other_backend(self) -> Backend:
-        return create("daqp", max_iter=self.problem.config.solver.max_iter)
+        if self._named:
+            return super()._other_backend()
+        return create(DEFAULT, max_iter=self.problem.config.solver.max_iter)
 
     def reset(self) -> None:
         """Forget the last solution, so that the next solve starts cold."""

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmrc.config.models import Config, Method
+from rmrc.config.solvers import AUTO
+from rmrc.control.engines import missing
 from rmrc.engine.closed_form import KEPT_LIMITS, WITH_SOLVER, as_read, ignored, ignored_limits
 from rmrc.errors import ConfigError, RmrcError, unknown_name
 from rmrc.problem.compile import compile
@@ -32,6 +34,8 @@ NUMBERS = "compare.json"
 PAGE = "compare.html"
 COMPARISON_FOLDER = FolderKind("comparison", (NUMBERS, PAGE))
 FORMAT = 1
+NATIVE = "native"
+"""Among the backends: the native engine with its own."""
 REPLACED = (("method",), ("follow",))
 """The places whose mistakes are a method's, not the configuration's."""
 
@@ -190,7 +194,8 @@ def compare(
             several with the same dt and tasks, by what their runs are called, as
             ``{"curvature=on": …}``.
         methods: By default all.
-        backends: The QP solvers of method qp; by default daqp, proxqp and osqp.
+        backends: The QP solvers of method qp, `native` for the native engine with its own; by
+            default that, where it is installed, daqp, proxqp and osqp.
         follow: The ways of following a path; by default the configuration's own.
         progress: Called now and then with the number of steps done and of all.
 
@@ -244,20 +249,22 @@ def _variants(
     _ensure_known("method", methods, METHODS)
     _ensure_known("way of following", follow, FOLLOWS)
     for backend in backends:
-        create(backend)  # an unknown one says so
+        if backend != NATIVE:
+            create(backend)  # an unknown one says so
     variants = {}
+    there = () if missing() else (NATIVE,)
     for method in methods or METHODS:
-        solvers = (backends or tuple(BACKENDS)) if method == "qp" else ("",)
+        solvers = (backends or (*there, *BACKENDS)) if method == "qp" else ("",)
         for backend, way in product(solvers, follow or ("",)):
             name = [method, *[backend] * (len(solvers) > 1), *[way] * (len(follow) > 1)]
             read: dict[str, tuple[str, Config]] = {}
             for label, config in configs.items():
-                solver = config.solver.model_copy(
-                    update={"backend": backend or config.solver.backend}
-                )
+                own = AUTO if backend == NATIVE else backend or config.solver.backend
+                solver = config.solver.model_copy(update={"backend": own})
                 update = {"method": method, "solver": solver, "follow": way or config.follow}
                 # Methods and backends are the Python engine's, so that their times compare.
-                variant = config.model_copy(update=update | {"engine": "python"})
+                engine = NATIVE if backend == NATIVE else "python"
+                variant = config.model_copy(update=update | {"engine": engine})
                 read.setdefault(repr(as_read(variant).resolved()), (label, variant))
             for label, variant in read.values():
                 parts = [*name, *[label] * (len(read) > 1)]
