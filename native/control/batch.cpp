@@ -8,7 +8,7 @@ namespace rmrc {
 
 namespace {
 
-constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.step.Status.INVALID_INPUT
+constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.status.Status.INVALID_INPUT
 constexpr std::size_t line = 64;  // of a cache: what one thread writes is not beside another's
 
 }  // namespace

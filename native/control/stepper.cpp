@@ -10,7 +10,7 @@ namespace rmrc {
 
 namespace {
 
-// rmrc.control.step.Status
+// rmrc.control.status.Status
 enum : unsigned {
   limited = 1u << 1,
   scaled = 1u << 2,
@@ -22,7 +22,7 @@ enum : unsigned {
   deadline = 1u << 8
 };
 
-constexpr double active_multiplier = 1e-7;  // rmrc.control.step.ACTIVE_MULTIPLIER
+constexpr double active_multiplier = 1e-7;  // rmrc.control.status.ACTIVE_MULTIPLIER
 constexpr double elsewhere = 10.0;          // rmrc.limits.contacts.ELSEWHERE
 
 }  // namespace

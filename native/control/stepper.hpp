@@ -31,7 +31,7 @@ struct KeptFlags {
 
 /// What a step has to say beside its numbers.
 struct Summary {
-  unsigned flags;  // bit k for the status of value k, as in rmrc.control.step.Status
+  unsigned flags;  // bit k for the status of value k, as in rmrc.control.status.Status
   Ending ending;
   int iterations;
 };

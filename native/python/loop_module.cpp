@@ -16,7 +16,7 @@ namespace rmrc {
 
 namespace {
 
-constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.step.Status.INVALID_INPUT
+constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.status.Status.INVALID_INPUT
 // rmrc.control.controller.FAILED
 constexpr unsigned failed = (1u << 7) | (1u << 8) | (1u << 9) | (1u << 10);
 

@@ -393,7 +393,7 @@ void test_bad_input() {
 }
 
 constexpr int elements = 150, bad_q = 17, bad_target = 40;
-constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.step.Status
+constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.status.Status
 
 // What came out of a batch: v of all steps, and the flags.
 struct Rows {
