@@ -1,6 +1,7 @@
 """`Controller`: one certified joint velocity a step, whatever comes in."""
 
 import math
+from collections.abc import Mapping
 from time import perf_counter
 from typing import TYPE_CHECKING, NoReturn, cast
 
@@ -11,7 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from rmrc.control.context import Moment
 from rmrc.control.engines import Choice, build_engine
 from rmrc.control.fast.calls import quick_step, quick_target
-from rmrc.control.inputs import LARGEST, Configurations, Targets, counted_from
+from rmrc.control.inputs import (
+    LARGEST,
+    Configurations,
+    Targets,
+    as_arguments,
+    counted_from,
+)
+from rmrc.control.jog import Frames, Jog
+from rmrc.control.numbers import LONGEST, SHORTEST, number, seconds_of, told
 from rmrc.control.progress import Progress
 from rmrc.control.status import ACTIVE_MULTIPLIER, Status
 from rmrc.control.step import Made, Step
@@ -29,8 +38,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SHORTEST, LONGEST = 1e-9, 1e3
-"""Lengths of a step in s beyond which a clock, not a robot, is at fault."""
 MOST_TOLD = 8
 """Inputs that were refused since the last step, and are told of."""
 TICK_ROUNDING = 1e-9
@@ -81,9 +88,11 @@ class Controller:
         self._lag = problem.lag if problem.lag.any() else None
         self._elsewhere = ELSEWHERE * float(problem.box.velocity.max(initial=0.0))
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
-        self.stepper = self._new_stepper()
-        """What takes the common steps in the extension; None where Python takes them all."""
-        self._progress = self.stepper or Progress(problem, self._evaluation, self.engine.assembly)
+        self._frames = Frames(problem, self._evaluation.data)
+        self._jog, self._holds = Jog(self._frames), False
+        self._fast = self.stepper = self._new_stepper()
+        """What takes the common steps in the extension; None while Python takes them all."""
+        self._progress = self._fast or Progress(problem, self._evaluation, self.engine.assembly)
         self.failures = 0
         """Steps in a row, up to the last, that ended without a certified solution."""
         self.reset()
@@ -130,6 +139,9 @@ class Controller:
         self._v[:], self._a[:] = self._rates("v", v), self._rates("a", a)
         self._v[self._objects] = self._a[self._objects] = 0.0
         self._refused = ()
+        self._jog.forget()
+        self._holds = False
+        self._choose_stepper()
         self._clock = self._measured_at = 0.0
         self._set_at: dict[str, float] = {}
         self._measured: Array | None = None
@@ -185,6 +197,9 @@ class Controller:
             ModelError: If there is no such task.
         """
         term = self._term.get(name) or self.problem.named(name)
+        if self._jog.active:
+            self._jog.forget(name)
+            self._choose_stepper()
         accepted = self._targets.take(term, position, quaternion, velocity, q, direction)
         if not accepted:
             what = self._targets.fault(term, position, quaternion, velocity, q, direction)
@@ -244,15 +259,15 @@ class Controller:
                 last two measured configurations say.
             age: Age of the measured configuration, s.
         """
+        if self._holds:
+            return self.command(np.zeros(self._model.nv), q, dt)
         self._begin()
         valid = self._q.copy() if q is None else self._configurations.read(q)
         seconds = self.problem.dt if dt is None else seconds_of(dt)
         if valid is None:
             return self._refuse(seconds, self._configurations.fault("q", q))
         if seconds is None:
-            return self._refuse(
-                seconds, f"dt is {_told(dt)}, and no time of {SHORTEST:g} to {LONGEST:g} s"
-            )
+            return self._refuse(seconds, _no_time(dt))
         dt = seconds
         if np.abs(valid - self._q).max() > self._elsewhere * dt:
             for barrier in self.engine.rows.barriers:
@@ -271,11 +286,17 @@ class Controller:
         if self._timed:
             stale = self._stale(q is not None, age)
             if stale is None:
-                return self._refuse(dt, f"age is {_told(age)}, and no time in s")
+                return self._refuse(dt, f"age is {told(age)}, and no time in s")
             if stale:
                 return self._brake(dt, _STALE)
         if self._jerk:
             self._evaluation.a_previous[:] = self._a
+        if self._jog.active:
+            for name, position, quaternion, twist in self._jog.targets(valid, self._v):
+                term = self._term[name]
+                self._targets.take(term, position, quaternion, twist, None, None)
+                self._set_at[name] = self._clock
+            self._choose_stepper()
         return self._solved(valid, previous, dt)
 
     @np.errstate(all="ignore")  # what is not finite shows in the residuals
@@ -315,7 +336,7 @@ class Controller:
         """
         problem, now = self.problem, self._clock
         if measured:
-            seconds = _number(age)
+            seconds = number(age)
             if seconds is None or not seconds >= 0.0:  # NaN is not
                 return None
             self._measured_at = now - seconds
@@ -351,7 +372,87 @@ class Controller:
         """The configuration (nq,) that the last command led to."""
         return self._q.copy()
 
-    def command(self, v: Array, q: ArrayLike | None = None) -> Step:
+    def set_targets(self, targets: Mapping[str, ArrayLike | Mapping[str, ArrayLike]]) -> bool:
+        """Set targets of several tasks at once; return whether all were valid.
+
+        Args:
+            targets: By task: the arguments of `set_target` by name, or of a `frame` task its pose,
+                a matrix (4, 4) or xyz and wxyz (7,).
+
+        Raises:
+            ModelError: If there is no such task; then none is set.
+        """
+        given = {
+            self.problem.named(name).name: as_arguments(value) for name, value in targets.items()
+        }
+        accepted = [self.set_target(name, **each) for name, each in given.items()]
+        return all(accepted)
+
+    def set_twist(self, name: str, twist: ArrayLike) -> bool:
+        """Jog a task's frame: its target moves along with it, until `set_target` is called.
+
+        At a twist of zero the frame is held where it stops. Steps of a frame that is jogged are
+        taken with a part in Python.
+
+        Args:
+            name: A `frame` task.
+            twist: [linear; angular] (6,) in the world's axes, m/s and rad/s. Where it is not six
+                finite numbers the last one stays, and the next step says INVALID_INPUT.
+
+        Raises:
+            ModelError: If there is no such task, or it has no pose for a target.
+        """
+        term = self.problem.named(name)
+        if term.type != "frame":
+            raise ModelError(f"task '{name}' is a {term.type}: set_twist moves `frame` tasks")
+        try:
+            valid = np.array(twist, dtype=float)
+        except (TypeError, ValueError):
+            valid = np.empty(0)
+        if valid.shape != (6,) or not (np.abs(valid) < LARGEST).all():
+            self._refused = (
+                *self._refused[: MOST_TOLD - 1],
+                f"twist of {name} is not six numbers below {LARGEST:g} in size",
+            )
+            return False
+        self._jog.set(name, valid)
+        self._choose_stepper()
+        return True
+
+    def hold(self) -> None:
+        """Have the steps that follow brake inside the limits and stay, whatever the targets."""
+        self._holds = True
+        self._progress.reset()
+        self._choose_stepper()
+
+    def resume(self) -> None:
+        """Go on after `hold`, from where the robot is."""
+        self._holds = False
+        self._progress.reset()
+        self._choose_stepper()
+
+    def _choose_stepper(self) -> None:
+        self.stepper = None if self._holds or self._jog.active else self._fast
+
+    def pose(self, name: str) -> Array:
+        """Return the transformation (4, 4) in the world of a task's frame, where the last step led.
+
+        Raises:
+            ModelError: If there is no task of that name that has a frame.
+        """
+        found = np.eye(4)
+        found[:3, 3], found[:3, :3] = self._frames.pose(name, self._q)
+        return found
+
+    def jacobian(self, name: str) -> Array:
+        """Return J (6, nv) of a task's frame, [linear; angular] in the world's axes, as `pose`.
+
+        Raises:
+            ModelError: If there is no task of that name that has a frame.
+        """
+        return self._frames.jacobian(name, self._q)
+
+    def command(self, v: Array, q: ArrayLike | None = None, dt: float | None = None) -> Step:
         """Return a step that carries out a velocity of the caller's own (nv,) inside the limits.
 
         It is clipped into the box, and shortened where a distance would be passed.
@@ -363,7 +464,10 @@ class Controller:
             return self._refuse(None, self._configurations.fault("q", q))
         if not np.isfinite(v).all():
             return self._refuse(None, self._configurations.velocity_fault("v", v))
-        engine, dofs, dt = self.engine, self.problem.dofs, self.problem.dt
+        seconds = self.problem.dt if dt is None else seconds_of(dt)
+        if seconds is None:
+            return self._refuse(None, _no_time(dt))
+        engine, dofs, dt = self.engine, self.problem.dofs, seconds
         outside = engine.prepare(valid, self._v, dt)
         qp = engine.assembly.qp
         solution = Solution.at_rest(qp, SolveStatus.SOLVED)
@@ -429,24 +533,9 @@ class Controller:
         self.engine.share = 1.0  # of a brake nothing was left out
         return self._carried_out(self._q.copy(), solution, flags, seconds, self._v.copy())
 
-
-def seconds_of(dt: object) -> float | None:
-    """Return a length of a step in s, or None if it is none."""
-    seconds = _number(dt)
-    return seconds if seconds is not None and SHORTEST <= seconds <= LONGEST else None
+    def __repr__(self) -> str:
+        return f"Controller({self.problem!r}, engine={self.engine.name!r})"
 
 
-def _number(value: object) -> float | None:
-    """Return a number as a float; None for what is none, a text of digits included."""
-    if isinstance(value, (str, bytes)):
-        return None
-    try:
-        return float(value)  # type: ignore[arg-type]
-    except Exception:  # a `__float__` of others raises what it likes
-        return None
-
-
-def _told(value: object) -> str:
-    """Return a value as a message shows it."""
-    seconds = _number(value)
-    return f"a {type(value).__name__}" if seconds is None else f"{seconds:g}"
+def _no_time(dt: object) -> str:
+    return f"dt is {told(dt)}, and no time of {SHORTEST:g} to {LONGEST:g} s"

@@ -1,6 +1,7 @@
 """What comes in at run time: taken if it is valid, refused, and nothing changed, if it is not."""
 
 import math
+from collections.abc import Mapping
 from struct import Struct
 from typing import Any
 
@@ -303,3 +304,20 @@ class Targets:
             return None
         pose[3:7] /= norm
         return pose
+
+
+def as_arguments(target: Any) -> dict[str, Any]:
+    """Return a target as the arguments of `set_target`; what is no pose is left to it to refuse."""
+    if isinstance(target, Mapping):
+        return dict(target)
+    try:
+        pose = np.array(target, dtype=float)
+    except (TypeError, ValueError):
+        return {"position": target}
+    if pose.shape == (7,):
+        return {"position": pose[:3], "quaternion": pose[3:]}
+    if pose.shape != (4, 4):
+        return {"position": target}
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, pose[:3, :3].ravel())
+    return {"position": pose[:3, 3], "quaternion": quaternion}

@@ -21,6 +21,9 @@ class Status(IntEnum):
     STALE = 9
     INVALID_INPUT = 10
 
+    def __str__(self) -> str:
+        return self.name
+
     @property
     def advice(self) -> str:
         """One sentence on what the status means and what to do about it."""

@@ -25,7 +25,7 @@ from rmrc.tasks.frame import FrameTerm
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Problem:
     """A model, the terms of the cost, the limits, and what the step is taken with."""
 
@@ -83,6 +83,10 @@ class Problem:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.__post_init__()  # pickled arrays come back writable
+
+    def __repr__(self) -> str:
+        tasks = ", ".join(term.name for term in self.terms)
+        return f"Problem({self.dofs.size} dofs, tasks: {tasks or 'none'}, dt={self.dt:g})"
 
     @cached_property
     def term(self) -> Mapping[str, Term]:
