@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping
 from time import perf_counter
-from typing import TYPE_CHECKING, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rmrc.config.models import Config
 from rmrc.control.context import Moment
 from rmrc.control.engines import Choice, build_engine
 from rmrc.control.fast.calls import quick_step, quick_target
@@ -24,11 +25,13 @@ from rmrc.control.numbers import LONGEST, SHORTEST, number, seconds_of, told
 from rmrc.control.progress import Progress
 from rmrc.control.status import ACTIVE_MULTIPLIER, Status
 from rmrc.control.step import Made, Step
+from rmrc.control.tuning import with_limits, with_task
 from rmrc.engine.closed_form import UNCERTIFIED
 from rmrc.errors import ModelError, RmrcError, unknown_name
 from rmrc.limits.box import braked
 from rmrc.limits.contacts import ELSEWHERE
 from rmrc.model.frames import names
+from rmrc.problem.compile import recompile
 from rmrc.problem.problem import Problem
 from rmrc.qp.program import Solution, SolveStatus
 
@@ -37,6 +40,12 @@ if TYPE_CHECKING:
     from rmrc.native.engine import NativeEngine
 
 Array = NDArray[np.float64]
+
+_STATE = (
+    *("_clock", "_measured_at", "_set_at", "_measured", "_last_rate", "_refused"),
+    *("_holds", "_switched_off", "failures"),
+)
+"""What a controller keeps beside its arrays when its configuration changes."""
 
 MOST_TOLD = 8
 """Inputs that were refused since the last step, and are told of."""
@@ -88,6 +97,8 @@ class Controller:
         self._lag = problem.lag if problem.lag.any() else None
         self._elsewhere = ELSEWHERE * float(problem.box.velocity.max(initial=0.0))
         self._q, self._v, self._a = np.empty(model.nq), np.empty(model.nv), np.zeros(model.nv)
+        self._choice: Choice = engine
+        self._switched_off: dict[str, Any] = {}
         self._frames = Frames(problem, self._evaluation.data)
         self._jog, self._holds = Jog(self._frames), False
         self._fast = self.stepper = self._new_stepper()
@@ -387,6 +398,62 @@ class Controller:
         }
         accepted = [self.set_target(name, **each) for name, each in given.items()]
         return all(accepted)
+
+    def tune(self, name: str, *, enabled: bool | None = None, **changes: Any) -> None:
+        """Change a task from the next step on; targets, q, v and all else stay.
+
+        Args:
+            name: The task.
+            enabled: False switches the task off, its B to 0; True brings it back.
+            changes: Its keys as in the configuration: B, gain, level, clamp, ….
+
+        The engine is made anew, which takes milliseconds (see `docs/running.md`).
+
+        Raises:
+            ModelError: If there is no such task.
+            ConfigError: If a key or a value is wrong, or does not fit the model; nothing changes.
+        """
+        if enabled is False and name not in self._switched_off:
+            task = {task.name: task for task in self.problem.config.tasks}.get(name)
+            self._adopt(with_task(self.problem.config, name, {**changes, "B": 0.0}))
+            self._switched_off[name] = changes.get("B", getattr(task, "B", 0.0))
+            return
+        if enabled and name in self._switched_off:
+            changes = {"B": self._switched_off[name], **changes}
+        elif name in self._switched_off and "B" in changes:
+            self._switched_off[name] = changes.pop("B")  # for when it is switched on
+        self._adopt(with_task(self.problem.config, name, changes))
+        if enabled:
+            self._switched_off.pop(name, None)
+
+    def limit(self, **changes: Any) -> None:
+        """Change limits from the next step on; each key replaces that of `limits` whole.
+
+        Args:
+            changes: Keys of `limits` as in the configuration: velocity, acceleration, jerk,
+                position, base, speed, workspace, and of `collision` the keys that change.
+
+        The engine is made anew, which takes milliseconds (see `docs/running.md`).
+
+        Raises:
+            ConfigError: If a key or a value is wrong, or does not fit the model; nothing changes.
+        """
+        self._adopt(with_limits(self.problem.config, changes))
+
+    def _adopt(self, config: Config) -> None:
+        """Go on with another configuration of the same model and tasks, from the present state."""
+        other = Controller(recompile(self.problem, config), self._choice)
+        ours, theirs = self._evaluation, other._evaluation
+        for name in ("targets", "twists", "obstacle_twist"):
+            getattr(theirs, name)[:] = getattr(ours, name)
+        theirs.moving[:] = ours.moving
+        theirs.data.mocap_pos, theirs.data.mocap_quat = ours.data.mocap_pos, ours.data.mocap_quat
+        other._q[:], other._v[:], other._a[:] = self._q, self._v, self._a
+        for name in _STATE:
+            setattr(other, name, getattr(self, name))
+        other._jog = self._jog.among(other._frames)
+        other._choose_stepper()
+        self.__dict__ = other.__dict__
 
     def set_twist(self, name: str, twist: ArrayLike) -> bool:
         """Jog a task's frame: its target moves along with it, until `set_target` is called.

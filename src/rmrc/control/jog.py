@@ -61,6 +61,12 @@ class Jog:
         """Whether any frame is jogged, or has not stopped yet."""
         return bool(self._twists)
 
+    def among(self, frames: Frames) -> "Jog":
+        """Return the same twists of other frames."""
+        other = Jog(frames)
+        other._twists = self._twists
+        return other
+
     def set(self, name: str, twist: Array) -> None:
         """Have a frame move by a twist (6,), [linear; angular] in the world's axes."""
         self._twists[name] = twist

@@ -70,6 +70,17 @@ def compile(
     return _Compiler(config).problem(tuple(mink_tasks), tuple(mink_limits))
 
 
+def recompile(problem: Problem, config: Config) -> Problem:
+    """Resolve a changed configuration on the model of a problem and from its start.
+
+    What says of the scene and of the start differs is not looked at.
+
+    Raises:
+        ConfigError: If anything does not fit the model; the message lists every mistake.
+    """
+    return _Compiler(config).problem(problem.mink_tasks, problem.mink_limits, problem)
+
+
 class _Compiler:
     """Collects the mistakes on the way, so that all are reported at once."""
 
@@ -91,10 +102,13 @@ class _Compiler:
             raise config_error(self._mistakes, self._config)
 
     def problem(
-        self, mink_tasks: tuple[BaseTask, ...], mink_limits: tuple[mink.Limit, ...]
+        self,
+        mink_tasks: tuple[BaseTask, ...],
+        mink_limits: tuple[mink.Limit, ...],
+        before: Problem | None = None,
     ) -> Problem:
         config, mistakes = self._config, self._mistakes
-        scene, start, begins = self._scene_at_start()
+        scene, start, begins = self._scene_at_start() if before is None else before.begun
         model = scene.model
         objects = self._objects(model, mink_tasks)
         terms = self._terms(model, start, objects)
@@ -121,6 +135,7 @@ class _Compiler:
         strict, solver, timeout = config.priority == "strict", config.solver, config.timeout
         return Problem(
             config=config,
+            begun=(scene, start, begins),
             model=model,
             start=start,
             dt=config.dt,

@@ -19,6 +19,7 @@ from rmrc.limits.box import Box
 from rmrc.limits.speed import FrameSpeed
 from rmrc.model.extents import FINEST
 from rmrc.model.objects import Objects
+from rmrc.model.scene import Scene
 from rmrc.tasks.base import Term
 from rmrc.tasks.frame import FrameTerm
 
@@ -30,6 +31,8 @@ class Problem:
     """A model, the terms of the cost, the limits, and what the step is taken with."""
 
     config: Config
+    begun: tuple[Scene, Array, list[str]]
+    """What was compiled first: the scene, the start, and what is to be said of it."""
     model: mujoco.MjModel
     """Its mocap bodies are where the start has them, so that every fresh mjData has them there."""
     start: Array
