@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rmrc.problem.problem import Problem
     from rmrc.record.run import Run
     from rmrc.runs.compare import Comparison, compare
+    from rmrc.runs.recorder import Recorder
     from rmrc.runs.solve import solve
     from rmrc.tasks import (
         AxisAlignTask,
@@ -77,6 +78,7 @@ _HOMES = {
     "PosePath": "rmrc.paths",
     "PostureTask": "rmrc.tasks",
     "Problem": "rmrc.problem.problem",
+    "Recorder": "rmrc.runs.recorder",
     "RelativeFrameTask": "rmrc.tasks",
     "RmrcError": "rmrc.errors",
     "Run": "rmrc.record.run",
@@ -135,6 +137,7 @@ __all__ = [
     "PosePath",
     "PostureTask",
     "Problem",
+    "Recorder",
     "RelativeFrameTask",
     "RmrcError",
     "Run",

@@ -88,7 +88,7 @@ def test_the_limits_are_those_of_a_configuration(folder: Path) -> None:
 SNIPPETS = [each for each in blocks() if each.startswith("import ")]
 
 
-@pytest.mark.parametrize("snippet", SNIPPETS, ids=["solve", "batch", "running", "step"])
+@pytest.mark.parametrize("snippet", SNIPPETS, ids=["solve", "batch", "running", "recorder", "step"])
 def test_the_snippets_run(snippet: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(snippet, "README.md", "exec"), {})
     assert capsys.readouterr().out

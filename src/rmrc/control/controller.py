@@ -453,6 +453,8 @@ class Controller:
             setattr(other, name, getattr(self, name))
         other._jog = self._jog.among(other._frames)
         other._choose_stepper()
+        if "step" in self.__dict__:  # a recorder's
+            other.__dict__["step"] = self.__dict__["step"]
         self.__dict__ = other.__dict__
 
     def set_twist(self, name: str, twist: ArrayLike) -> bool:
