@@ -43,6 +43,19 @@ def moved(problem: rmrc.Problem, step: rmrc.Step) -> np.ndarray:
     return jacobian @ step.v
 
 
+def after(controller: rmrc.Controller, count: int) -> rmrc.Step:
+    """Return the last of so many steps."""
+    return [controller.step() for _ in range(count)][-1]
+
+
+def smoothly(controller: rmrc.Controller, count: int, before: np.ndarray, most: float) -> rmrc.Step:
+    """Return the last of so many steps, none of which changes a rate by more than `most`."""
+    steps = [controller.step() for _ in range(count)]
+    rates = np.array([before, *(step.v for step in steps)])
+    assert np.abs(np.diff(rates, axis=0)).max() <= most
+    return steps[-1]
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_twist_moves_the_frame_and_zero_holds_it_where_it_stops(engine: Any) -> None:
     made = controller(engine)
@@ -50,19 +63,14 @@ def test_a_twist_moves_the_frame_and_zero_holds_it_where_it_stops(engine: Any) -
     twist = np.array([0.05, 0.1, -0.05, 0.1, 0.0, 0.2])
     assert made.set_twist("hand", twist)
     most = 8.0 * problem.dt + ROUNDING
-    for _ in range(300):
-        step = made.step()
-        assert np.abs(step.v - before).max() <= most
-        before = step.v
+    step = smoothly(made, 300, before, most)
+    before = step.v
     assert np.abs(moved(problem, step) - twist).max() < STEERED
     assert made.set_twist("hand", np.zeros(6))
-    for _ in range(300):
-        step = made.step()
-        assert np.abs(step.v - before).max() <= most
-        before = step.v
+    step = smoothly(made, 300, before, most)
+    before = step.v
     stopped = at(problem, step.q).site("hand").xpos.copy()
-    for _ in range(3000):
-        step = made.step()
+    step = after(made, 3000)
     assert np.linalg.norm(at(problem, step.q).site("hand").xpos - stopped) < HELD
 
 
@@ -72,8 +80,7 @@ def test_a_twist_ends_with_a_target(engine: Any) -> None:
     made.set_twist("hand", [0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     made.step()
     assert made.set_target("hand", position=[0.4, 0.2, 0.4])
-    for _ in range(2500):
-        step = made.step()
+    step = after(made, 2500)
     found = at(made.problem, step.q).site("hand").xpos
     assert np.linalg.norm(found - [0.4, 0.2, 0.4]) < 1e-3
 
@@ -99,24 +106,17 @@ def test_only_frames_have_twists() -> None:
 def test_a_hold_brakes_inside_the_limits_and_stays(engine: Any) -> None:
     made = controller(engine)
     made.set_target("hand", position=[0.3, 0.5, 0.3])
-    for _ in range(150):
-        step = made.step()
+    step = after(made, 150)
     assert np.abs(step.v).max() > 0.3
     made.hold()
-    before = step.v
-    for _ in range(200):
-        step = made.step()
-        assert np.abs(step.v - before).max() <= 8.0 * made.problem.dt + ROUNDING
-        before = step.v
+    step = smoothly(made, 200, step.v, 8.0 * made.problem.dt + ROUNDING)
     assert np.abs(step.v).max() == 0.0
     stays = step.q
     assert made.set_target("hand", position=[0.5, 0.0, 0.3])
-    for _ in range(50):
-        step = made.step()
+    step = after(made, 50)
     np.testing.assert_array_equal(step.q, stays)
     made.resume()
-    for _ in range(2500):
-        step = made.step()
+    step = after(made, 2500)
     found = at(made.problem, step.q).site("hand").xpos
     assert np.linalg.norm(found - [0.5, 0.0, 0.3]) < 1e-3
 
@@ -137,8 +137,7 @@ def test_a_held_controller_takes_the_same_steps_again(engine: Any) -> None:
 def test_a_pose_and_a_jacobian_are_mujocos(engine: Any) -> None:
     made = controller(engine)
     made.set_target("hand", position=[0.4, 0.3, 0.4])
-    for _ in range(20):
-        step = made.step()
+    step = after(made, 20)
     data, jacobian = at(made.problem, step.q), np.zeros((6, 7))
     site = data.site("hand")
     np.testing.assert_allclose(made.pose("hand")[:3, 3], site.xpos, atol=EXACT)
@@ -155,8 +154,7 @@ def test_targets_of_several_tasks_come_at_once() -> None:
     pose[:3, 3] += [0.05, 0.0, 0.05]
     q = np.array([0.1, -0.5, 0.0, -2.0, 0.0, 1.5, 0.5])
     assert made.set_targets({"hand": pose, "posture": {"q": q}})
-    for _ in range(3000):
-        step = made.step()
+    step = after(made, 3000)
     assert np.linalg.norm(at(made.problem, step.q).site("hand").xpos - pose[:3, 3]) < 1e-3
     assert not made.set_targets({"hand": [0.1, 0.2]})
     with pytest.raises(rmrc.ModelError, match="hand"):

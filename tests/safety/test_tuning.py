@@ -42,6 +42,11 @@ CHANGES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
+def after(controller: rmrc.Controller, count: int) -> rmrc.Step:
+    """Return the last of so many steps."""
+    return [controller.step() for _ in range(count)][-1]
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("what", CHANGES)
 def test_it_goes_on_as_if_it_had_been_compiled_so(engine: Any, what: str) -> None:
@@ -81,12 +86,10 @@ def test_a_task_that_is_off_pulls_no_more_and_comes_back(engine: Any) -> None:
     controller, _ = on_the_way(engine)
     controller.tune("posture", enabled=False)
     controller.tune("hand", enabled=False)
-    for _ in range(400):
-        step = controller.step()
+    step = after(controller, 400)
     assert np.abs(step.v).max() < SAME
     controller.tune("hand", enabled=True)
-    for _ in range(2500):
-        step = controller.step()
+    step = after(controller, 2500)
     assert step.error["hand"][0] < 1e-3
     assert controller.problem.config.tasks[0].model_dump()["B"] == made().tasks[0].model_dump()["B"]
 
@@ -126,8 +129,7 @@ def test_what_was_set_stays() -> None:
     controller.set_twist("hand", [0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
     controller.hold()
     controller.tune("hand", gain=4.0)
-    for _ in range(100):
-        step = controller.step()
+    step = after(controller, 100)
     assert not step.v.any()
     controller.resume()
     before = controller.pose("hand")[0, 3]
