@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 import rmrc
-from rmrc import cli
+from rmrc.cli import console, main
 from rmrc.errors import ModelError
 
 SCENE = """
@@ -56,7 +56,7 @@ def said(
     """Return all that a command prints."""
     monkeypatch.setattr("sys.argv", ["rmrc", *arguments])
     with pytest.raises(SystemExit):
-        cli.main()
+        main()
     return "".join(capsys.readouterr())
 
 
@@ -87,7 +87,7 @@ def test_what_commands_print(
 def test_the_progress_bar(
     config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "Console", partial(Console, force_terminal=True, no_color=True))
+    monkeypatch.setattr(console, "Console", partial(Console, force_terminal=True, no_color=True))
     text = said(monkeypatch, capsys, "solve", config)
     assert r"evil\x1b[31m" in text
     assert not [name for name in OBEYED if name in text]

@@ -8,21 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from test_backends import (
-    BACKENDS,
+from backend_programs import (
     ILL_CONDITIONED,
     KKT_TOLERANCE,
     OBJECTIVE_TOLERANCE,
     SAME_VELOCITY,
-    copy_of,
-    moving_program,
     objective,
     programs,
-    random_qp,
-    solved,
 )
+from programs import copy_of, moving_program, random_qp, solved
 
-from rmrc.qp.backends import create
+from rmrc.qp.backends import BACKENDS, create
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.program import QP, Solution, SolveStatus
 

@@ -1,7 +1,5 @@
 """Every path: pose and twist agree, ends are hit, mistakes are explained."""
 
-import io
-import zipfile
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -11,44 +9,28 @@ import numpy as np
 import pytest
 from hypothesis import given, seed
 from hypothesis import strategies as st
-from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
-from scipy.spatial.transform import Rotation
+from sampled_paths import (
+    COORDINATES,
+    DIFFERENCE,
+    EXACT,
+    START,
+    Array,
+    difference,
+    gap,
+    rotation,
+    sample,
+)
 
 from rmrc.errors import ConfigError
-from rmrc.paths import (
-    PATHS,
-    ArcPath,
-    CirclePath,
-    FilePath,
-    HoldPath,
-    LinePath,
-    PathConfig,
-    PathModel,
-    PosePath,
-    Trajectory,
-    WaypointsPath,
-)
-from rmrc.paths import file as file_module
+from rmrc.paths import ArcPath, CirclePath, HoldPath, LinePath, PathModel, PosePath, WaypointsPath
 from rmrc.paths.geometry import Turn
 from rmrc.paths.profiles import PROFILES, ProfileName
 from rmrc.text.base import Pose
 
-Array = NDArray[np.float64]
-
-# What a target hits to rounding: a few units in the last place of numbers near 1.
-EXACT = 1e-12
-# Central differences over ±STEP: truncation is about STEP² times the third derivative (below 1e3
-# here), rounding about 1e-16/STEP.
-STEP = 1e-5
-DIFFERENCE = 1e-6
-
 ROOT = Path("unused")
-START = np.array([0.5, 0.1, 0.4, 0.5, 0.5, -0.5, 0.5])
 ORIGIN = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 HALF_TURN = (0.0, 0.6, 0.0, -0.8)
 PROFILE_NAMES = get_args(ProfileName)
-COORDINATES = ("world", "start")
 
 MOVING: dict[str, Callable[..., PathModel]] = {
     "line": lambda **kw: LinePath(
@@ -82,47 +64,6 @@ MOVING: dict[str, Callable[..., PathModel]] = {
 }
 
 
-def sample(trajectory: Trajectory, time: float) -> tuple[Array, Array]:
-    """The pose and the twist at a time, every element written by the trajectory."""
-    pose, twist = np.full(7, np.nan), np.full(6, np.nan)
-    trajectory.sample(time, pose, twist)
-    return pose, twist
-
-
-def rotation(pose: Array) -> Rotation:
-    return Rotation.from_quat(np.roll(pose[3:], -1))
-
-
-def gap(pose: Array, other: Array) -> float:
-    """The larger of the distance and the angle between two poses."""
-    angle = (rotation(pose) * rotation(other).inv()).magnitude()
-    return max(float(np.linalg.norm(pose[:3] - other[:3])), float(angle))
-
-
-def difference(trajectory: Trajectory, time: float) -> Array:
-    """The twist by central differences of the pose."""
-    (before, _), (after, _) = sample(trajectory, time - STEP), sample(trajectory, time + STEP)
-    turn = (rotation(after) * rotation(before).inv()).as_rotvec()
-    return np.concatenate([after[:3] - before[:3], turn]) / (2 * STEP)
-
-
-def write_csv(folder: Path, text: str) -> FilePath:
-    (folder / "poses.csv").write_text(text, encoding="utf-8")
-    return FilePath(file="poses.csv")
-
-
-def write_npz(folder: Path, **arrays: Any) -> FilePath:
-    np.savez(folder / "poses.npz", **arrays)
-    return FilePath(file="poses.npz")
-
-
-def recording(count: int = 6, last: float = 2.0) -> tuple[Array, Array, Array]:
-    """Times, positions and quaternions (of any norm and sign) of a recorded motion."""
-    rng = np.random.default_rng(5)
-    time = last * np.append(np.sort(rng.random(count - 1)), 1.0)
-    return time, rng.normal(size=(count, 3)), rng.normal(size=(count, 4))
-
-
 # Pose and twist.
 
 
@@ -140,19 +81,6 @@ def test_the_twist_is_the_derivative_of_the_pose(name: str, profile: str, coordi
         np.testing.assert_allclose(twist, difference(trajectory, time), atol=DIFFERENCE)
         moved = max(moved, float(np.abs(twist).max()))
     assert moved > 0.1
-
-
-@pytest.mark.parametrize("coordinates", COORDINATES)
-def test_the_twist_of_a_file_is_the_derivative_of_the_pose(tmp_path: Path, coordinates) -> None:
-    time, position, quaternion = recording()
-    model = write_npz(tmp_path, time=time, position=position, quaternion=quaternion)
-    trajectory = model.model_copy(update={"coordinates": coordinates, "delay": 0.3}).build(
-        START, tmp_path
-    )
-    assert trajectory.duration == pytest.approx(time[-1] + 0.3, abs=EXACT)
-    for at in np.random.default_rng(0).uniform(time[0] + 0.3, time[-1] + 0.3, 40):
-        _, twist = sample(trajectory, at)
-        np.testing.assert_allclose(twist, difference(trajectory, at), rtol=1e-6, atol=DIFFERENCE)
 
 
 @pytest.mark.parametrize("name", MOVING)
@@ -450,176 +378,3 @@ def test_half_a_turn_is_finite_and_arrives(sign: int, nearness: float) -> None:
     np.testing.assert_allclose(twist[3:], [0.6 * np.pi, 0.0, -0.8 * np.pi], atol=3e-9)
     assert np.linalg.norm(pose[3:]) == pytest.approx(1.0, abs=EXACT)
     assert gap(sample(trajectory, 1.0)[0], np.array([0, 0, 0, *goal])) < EXACT
-
-
-# Files.
-
-
-def test_a_file_gives_its_samples_back(tmp_path: Path) -> None:
-    time, position, quaternion = recording()
-    table = np.column_stack([time, position, quaternion])
-    lines = [",".join(map(repr, row)) for row in table.tolist()]
-    header = "\ufefftime, x, y, z, qw, qx, qy, qz"
-    text = write_csv(tmp_path, "\n".join([header, *lines[:3], "", *lines[3:]]) + "\n")
-    arrays = write_npz(tmp_path, time=time, position=position, quaternion=quaternion)
-    for model in (text, arrays):
-        trajectory = model.build(START, tmp_path)
-        assert trajectory.duration == time[-1]
-        for at, *pose in zip(time, *position.T, *quaternion.T, strict=True):
-            assert gap(sample(trajectory, at)[0], np.array(pose)) < EXACT
-        before, after = sample(trajectory, time[0] / 2), sample(trajectory, time[-1] + 1)
-        assert gap(before[0], np.array([*position[0], *quaternion[0]])) < EXACT
-        assert gap(after[0], np.array([*position[-1], *quaternion[-1]])) < EXACT
-        np.testing.assert_array_equal([before[1], after[1]], np.zeros((2, 6)))
-        middle = sample(trajectory, (time[2] + time[3]) / 2)[0]
-        np.testing.assert_allclose(middle[:3], (position[2] + position[3]) / 2, atol=EXACT)
-
-
-@pytest.mark.parametrize("coordinates", COORDINATES)
-def test_a_file_without_quaternions_keeps_the_orientation(tmp_path: Path, coordinates: str) -> None:
-    model = write_csv(tmp_path, "time,x,y,z\n0,0,0,0\n1,0,0,1\n")
-    trajectory = model.model_copy(update={"coordinates": coordinates}).build(START, tmp_path)
-    pose, twist = sample(trajectory, 0.5)
-    assert (rotation(pose) * rotation(START).inv()).magnitude() < EXACT
-    np.testing.assert_array_equal(twist[3:], np.zeros(3))
-    assert np.linalg.norm(twist[:3]) == pytest.approx(1.0, abs=EXACT)
-
-
-def test_a_file_of_one_sample_and_of_huge_quaternions(tmp_path: Path) -> None:
-    model = write_csv(tmp_path, "time,x,y,z,qw,qx,qy,qz\n0.5,1,2,3,3e200,0,4e200,0\n")
-    trajectory = model.build(START, tmp_path)
-    assert trajectory.duration == 0.5
-    for time in (0.0, 0.5, 1.0):
-        pose, twist = sample(trajectory, time)
-        np.testing.assert_allclose(pose, [1, 2, 3, 0.6, 0, 0.8, 0], atol=EXACT)
-        np.testing.assert_array_equal(twist, np.zeros(6))
-
-
-HEADER = "time,x,y,z,qw,qx,qy,qz\n"
-ROW = "0,1,2,3,1,0,0,0\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", r"poses\.csv:1: the header must be time,x,y,z"),
-        ("time,x,y\n0,1,2\n", r"poses\.csv:1: the header must be .*'time,x,y'"),
-        ("time,x,y,z,qx,qy,qz,qw\n", r"poses\.csv:1: the header must be"),
-        (HEADER, r"poses\.csv: there is no sample"),
-        (HEADER + ROW + "1,1,2\n", r"poses\.csv:3: 8 numbers are wanted, and there are 3"),
-        (HEADER + ROW + "\n1,1,2,3,1,0,0,one\n", r"poses\.csv:4: .*'one'"),
-        (HEADER + ROW + "1,1,nan,3,1,0,0,0\n", r"poses\.csv:3: every number must be finite"),
-        (HEADER + ROW + "inf,1,2,3,1,0,0,0\n", r"poses\.csv:3: every number must be finite"),
-        (HEADER + ROW + "\n" + ROW, r"poses\.csv:4: the times must increase"),
-        (HEADER + "-1" + ROW, r"poses\.csv:2: a time cannot be negative"),
-        (HEADER + ROW + "1,1,2,3,0,0,0,0\n", r"poses\.csv:3: a quaternion of zero norm"),
-        (HEADER + ROW + "1" * 200_000, r"poses\.csv:3: field larger than field limit"),
-    ],
-)
-def test_a_csv_mistake_names_its_line(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        write_csv(tmp_path, text).build(START, tmp_path)
-
-
-TIMES, POINTS = [0.0, 1.0], [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
-
-
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"time": TIMES}, r"the arrays must be .* it holds time \(2,\)"),
-        ({"time": TIMES, "position": [[0.0, 1.0]]}, r"the arrays must be .*position \(1, 2\)"),
-        ({"time": TIMES, "position": POINTS, "quaternions": POINTS}, "the arrays must be"),
-        ({"time": ["a", "b"], "position": POINTS}, "all of numbers"),
-        ({"time": [], "position": np.zeros((0, 3))}, "there is no sample"),
-        ({"time": [0.0, 0.0], "position": POINTS}, r"sample 1: the times must increase"),
-        ({"time": [0.0, np.nan], "position": POINTS}, r"sample 1: every number must be finite"),
-        (
-            {"time": TIMES, "position": POINTS, "quaternion": np.eye(2, 4, 1) * [[0], [1]]},
-            r"sample 0: a quaternion of zero norm",
-        ),
-        ({"time": np.array([{}, {}]), "position": POINTS}, "not a readable NPZ file"),
-    ],
-)
-def test_an_npz_mistake_names_its_sample(tmp_path: Path, arrays: Any, message: str) -> None:
-    with pytest.raises(ConfigError, match=r"poses\.npz: .*" + message):
-        write_npz(tmp_path, **arrays).build(START, tmp_path)
-
-
-def test_a_file_that_cannot_be_read_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"nowhere\.csv: there is no such file"):
-        FilePath(file="nowhere.csv").build(START, tmp_path)
-    with pytest.raises(ConfigError, match="File name too long"):
-        FilePath(file="x" * 5000 + ".csv").build(START, tmp_path)
-    (tmp_path / "latin.csv").write_bytes(b"time,x,y,z\n0,1,2,\xff\n")
-    with pytest.raises(ConfigError, match=r"latin\.csv: it is not text in UTF-8"):
-        FilePath(file="latin.csv").build(START, tmp_path)
-    (tmp_path / "text.npz").write_text("time,x,y,z\n")
-    with pytest.raises(ConfigError, match=r"text\.npz: it is not a readable NPZ file"):
-        FilePath(file="text.npz").build(START, tmp_path)
-
-
-def test_a_file_above_the_limit_is_refused_packed_or_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(file_module, "LARGEST_FILE", 2000)
-    with pytest.raises(ConfigError, match=r"poses\.csv: .*MB are more than"):
-        write_csv(tmp_path, "time,x,y,z\n" + "0,0,0,0\n" * 300).build(START, tmp_path)
-    zeros = io.BytesIO()
-    np.save(zeros, np.zeros(1000))
-    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("time.npy", zeros.getvalue())
-    assert (tmp_path / "bomb.npz").stat().st_size < 2000
-    with pytest.raises(ConfigError, match="MB are more than") as caught:
-        FilePath(file="bomb.npz").build(START, tmp_path)
-    assert str(caught.value).startswith(f"{tmp_path / 'bomb.npz'}: 0.0 MB")
-
-
-# The models.
-
-ADAPTER: TypeAdapter[PathModel] = TypeAdapter(PathConfig)
-EXAMPLES: list[dict[str, Any]] = [
-    {"path": "hold"},
-    {"path": "pose", "position": [0.5, 0.2, 0.4], "delay": 1.0},
-    {"path": "line", "from": {"position": [0, 0, 1]}, "to": {"position": [1, 0, 1]}, "speed": 0.1},
-    {"path": "arc", "via": [0.1, 0.2, 0.3], "to": {"position": [1, 0, 1]}, "duration": 2},
-    {"path": "circle", "center": [0, 0, 0], "normal": [0, 0, 1], "duration": 2, "turns": -3},
-    {"path": "waypoints", "through": [{"position": [1, 0, 1]}], "profile": "constant", "speed": 1},
-    {"path": "file", "file": "poses.csv", "coordinates": "start"},
-]
-
-
-def test_the_key_path_chooses_the_type() -> None:
-    assert [type(ADAPTER.validate_python(example)) for example in EXAMPLES] == list(PATHS)
-    with pytest.raises(ValidationError, match="spiral"):
-        ADAPTER.validate_python({"path": "spiral"})
-
-
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example["path"])
-def test_a_path_survives_being_written_and_read(example: dict[str, Any]) -> None:
-    model = ADAPTER.validate_python(example)
-    written = model.model_dump(by_alias=True)
-    assert example.keys() <= written.keys()
-    assert ADAPTER.validate_python(written) == model
-    with pytest.raises(ValidationError, match="Extra inputs are not permitted"):
-        ADAPTER.validate_python({**example, "colour": "red"})
-
-
-@pytest.mark.parametrize(
-    ("index", "change", "message"),
-    [
-        (2, {"duration": 1.0}, "exactly one of duration"),
-        (2, {"speed": None}, "exactly one of duration"),
-        (2, {"speed": 0.0}, "greater than 0"),
-        (3, {"duration": -1.0}, "greater than 0"),
-        (3, {"delay": -1.0}, "greater than or equal to 0"),
-        (4, {"normal": [0, 0, 0]}, "zero length"),
-        (4, {"turns": float("nan")}, "finite"),
-        (5, {"through": []}, "at least 1"),
-        (5, {"profile": "smooth"}, "minimum_jerk"),
-        (6, {"file": "poses.txt"}, r"a \.csv or a \.npz, and this is 'poses\.txt'"),
-    ],
-)
-def test_a_mistake_in_a_model_is_refused(index: int, change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValidationError, match=message):
-        ADAPTER.validate_python({**EXAMPLES[index], **change})

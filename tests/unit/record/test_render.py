@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from fabricated_runs import fabricated, hinge
 from PIL import Image
-from test_record import fabricated, hinge
 
 from rmrc.errors import RmrcError
 from rmrc.record import render as render_module

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fabricated_runs import STATUSES, arm_model, fabricated, humanoid_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_record import STATUSES, arm_model, fabricated, humanoid_model
 
 from pages import Page, assert_self_contained, browsed, data_of, unpack
 from rmrc.record.page import quantity

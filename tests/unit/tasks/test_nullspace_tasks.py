@@ -6,19 +6,21 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from nullspace_models import (
+    CENTRAL_DIFFERENCE,
+    ROUNDING,
+    error_at,
+    evaluation_of,
+    signed_distance,
+    slope,
+    written,
+)
 
 import rmrc
-from models import REPOSITORY, config, random_configuration, scene_path
-from rmrc.errors import ConfigError
+from models import config, random_configuration, scene_path
 from rmrc.problem.evaluation import Evaluation
-from rmrc.tasks.clearance import ClearanceTerm
 from rmrc.tasks.manipulability import Manipulability, ManipulabilityTerm
 
-STEP = 1e-6
-# Central differences err by STEP²·f''' ≈ 1e-12 and by rounding/STEP ≈ 1e-10 · the size of f ≤ 25.
-CENTRAL_DIFFERENCE = 1e-8
-# The same numbers from another order of additions.
-ROUNDING = 1e-12
 # Largest position error in m of a frame above a soft task, whose weight is 1e-3 of the frame's.
 TRACKING = 1e-4
 
@@ -43,72 +45,6 @@ BALL_JOINTS = """
   </worldbody>
 </mujoco>
 """
-
-SHAPES = {
-    "sphere": 'type="sphere" size=".1"',
-    "capsule": 'type="capsule" size=".06 .15"',
-    "box": 'type="box" size=".1 .07 .12"',
-}
-
-TWO_SHAPES = """
-<mujoco>
-  <worldbody>
-    <geom name="still" {still} euler="17 -23 40"/>
-    <body name="mover">
-      <joint type="slide" axis="1 0 0"/>
-      <joint type="slide" axis="0 1 0"/>
-      <joint type="slide" axis="0 0 1"/>
-      <joint axis=".2 1 .4" pos=".05 .1 0"/>
-      <joint axis="1 .1 0" pos=".05 .1 -.02"/>
-      <geom name="moving" {moving} euler="-29 12 6"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
-FLOATING_BALL = """
-<mujoco>
-  <worldbody>
-    <geom name="floor" type="plane" size="1 1 .1"/>
-    <body name="base" pos="0 0 2">
-      <freejoint/>
-      <geom name="ballast" type="sphere" size=".05"/>
-      <body name="arm"><joint axis="0 1 0"/><geom name="bob" type="sphere" size=".1" pos="1 0 0"/>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
-
-def written(folder: Path, text: str) -> str:
-    path = folder / "scene.xml"
-    path.write_text(text)
-    return str(path)
-
-
-def evaluation_of(scene: str, task: dict[str, Any], **others: Any) -> Evaluation:
-    return Evaluation(rmrc.compile(config(scene, [{"name": "task", **task}], **others)))
-
-
-def error_at(evaluation: Evaluation, q: np.ndarray) -> np.ndarray:
-    evaluation.update(q)
-    evaluation.evaluate()
-    return evaluation.error.copy()
-
-
-def slope(evaluation: Evaluation, potential: Any, q: np.ndarray) -> np.ndarray:
-    """Return the derivatives (nv,) of a function of the kinematics along the tangent space."""
-    model, found = evaluation.model, []
-    for direction in np.eye(model.nv):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = q.copy()
-            mujoco.mj_integratePos(model, moved, direction, sign * STEP)
-            evaluation.update(moved)
-            ends.append(potential(evaluation.data))
-        found.append((ends[0] - ends[1]) / (2 * STEP))
-    return np.array(found)
 
 
 # Centering.
@@ -266,148 +202,6 @@ def left_arm_dofs(evaluation: Evaluation) -> list[int]:
     return [int(model.joint(name).dofadr[0]) for name in names]
 
 
-# Clearance.
-
-DISTANCE = 0.1
-
-
-def clearance_term(evaluation: Evaluation) -> ClearanceTerm:
-    (term,) = evaluation.problem.terms
-    assert isinstance(term, ClearanceTerm)
-    return term
-
-
-def signed_distance(data: mujoco.MjData, first: str, second: str) -> float:
-    model = data.model
-    ids = model.geom(first).id, model.geom(second).id
-    return mujoco.mj_geomDistance(model, data, *ids, 10.0, None)
-
-
-def row_error(distance: float, least: float) -> float:
-    return 0.5 * max(0.0, least - distance) ** 2 / least
-
-
-@pytest.mark.parametrize("gap", [0.08, 0.02, 1e-3, 1e-5, -1e-5, -1e-3, -0.05])
-@pytest.mark.parametrize("moving", SHAPES)
-@pytest.mark.parametrize("still", SHAPES)
-def test_clearance_has_the_slope_of_its_error(
-    still: str, moving: str, gap: float, tmp_path: Path
-) -> None:
-    scene = written(tmp_path, TWO_SHAPES.format(still=SHAPES[still], moving=SHAPES[moving]))
-    task = {"type": "clearance", "pairs": [["still", "moving"]], "distance": DISTANCE}
-    evaluation = evaluation_of(scene, task)
-
-    def at(reach: float) -> np.ndarray:
-        return np.array([0.6 * reach, 0.5 * reach, 0.62 * reach, 0.2, -0.3])
-
-    def error(data: mujoco.MjData) -> float:
-        return row_error(signed_distance(data, "still", "moving"), DISTANCE)
-
-    inner, outer = 0.02, 1.0
-    for _ in range(60):  # bisection for the gap
-        middle = 0.5 * (inner + outer)
-        evaluation.update(at(middle))
-        wide = signed_distance(evaluation.data, "still", "moving") > gap
-        inner, outer = (inner, middle) if wide else (middle, outer)
-    q = at(outer)
-    expected = -slope(evaluation, error, q)
-    assert error_at(evaluation, q) == pytest.approx([row_error(gap, DISTANCE)], abs=1e-9)
-    assert np.abs(evaluation.jacobian - expected).max() < CENTRAL_DIFFERENCE
-    assert np.abs(expected).max() > 1e-2
-    assert signed_distance(evaluation.data, "still", "moving") == pytest.approx(gap, abs=1e-9)
-
-
-def test_clearance_has_a_row_for_each_pair_and_sees_every_pair_that_is_near() -> None:
-    """The bounding spheres leave out no pair."""
-    near, least = 0, 0.3
-    scene = scene_path("dual_arm", Path())
-    pairs = [["right_link5", "left_link5"], ["left_link6", "obstacles"], ["floor", "left_link4"]]
-    task = {"type": "clearance", "pairs": pairs, "distance": least}
-    evaluation = evaluation_of(scene, task)
-    term, model = clearance_term(evaluation), evaluation.model
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        q = random_configuration(model, evaluation.problem.start, rng, 1.0)
-        error = error_at(evaluation, q)
-        expected = [
-            row_error(mujoco.mj_geomDistance(model, evaluation.data, *pair, 10.0, None), least)
-            for pair in term.geoms
-        ]
-        assert error == pytest.approx(expected, abs=ROUNDING)
-        assert ((error > 0.0) == evaluation.jacobian.any(axis=1)).all()
-        near += bool(error.any())
-    assert 0 < near < 20
-
-
-def test_a_capsule_that_pierces_a_box_is_pushed_out(tmp_path: Path) -> None:
-    # Where the axis is inside the box, mj_geomDistance may call the two apart.
-    shapes = {"still": 'type="box" size=".1 .1 .1"', "moving": 'type="capsule" size=".02 .15"'}
-    scene = written(tmp_path, TWO_SHAPES.format(**shapes))
-    task = {"type": "clearance", "pairs": [["still", "moving"]], "distance": DISTANCE}
-    evaluation = evaluation_of(scene, task)
-    error = error_at(evaluation, np.array([0.02, 0.01, 0.0, 0.0, 0.0]))
-    assert error[0] > row_error(-0.05, DISTANCE)
-
-
-def test_a_pair_goes_back_to_its_distance_at_the_gain(tmp_path: Path) -> None:
-    gain, duration = 4.0, 0.5
-    scene = written(tmp_path, TWO_SHAPES.format(still=SHAPES["sphere"], moving=SHAPES["sphere"]))
-    task = {"name": "task", "type": "clearance", "pairs": [["still", "moving"]], "gain": gain}
-    start, damping = [0.22, 0.02, 0.01, 0.0, 0.0], {"lambda": 1e-5}
-    run = rmrc.solve(config(scene, [task], start=start, duration=duration, damping=damping))
-    model = mujoco.MjModel.from_xml_path(scene)
-    data, short = mujoco.MjData(model), []
-    for q in (run.q[0], run.q[-1]):
-        data.qpos = q
-        mujoco.mj_kinematics(model, data)
-        short.append(DISTANCE - signed_distance(data, "still", "moving"))
-    # Euler steps of dt = 2 ms, as above; the damping takes less.
-    assert short[1] == pytest.approx(np.exp(-0.5 * gain * duration) * short[0], rel=0.01)
-
-
-def test_a_pair_that_is_far_leaves_all_motion_to_lower_levels() -> None:
-    scene = scene_path("planar_3r", Path())
-    posture = {"name": "posture", "type": "posture", "level": 1, "target": [0.2, 0.5, 0.6]}
-    clear = {"name": "clear", "type": "clearance", "pairs": [["base", "link3"]], "distance": 0.1}
-    start = {"start": [0.3, 0.3, 0.3], "priority": "strict"}
-    with_it, without = (
-        rmrc.Controller(rmrc.compile(config(scene, tasks, **start))).step().v
-        for tasks in ([clear, posture], [posture])
-    )
-    assert np.abs(without).max() > 0.1
-    assert with_it == pytest.approx(without, abs=ROUNDING)
-
-
-def test_a_body_means_all_its_geoms_and_a_pair_counts_once() -> None:
-    scene = scene_path("planar_3r", Path())
-    by_body, by_geom = (
-        evaluation_of(scene, {"type": "clearance", "pairs": pairs})
-        for pairs in (
-            [["base", "link3"], ["link3", "base"]],
-            [["base", "pin3"], ["base", "link3"]],
-        )
-    )
-    geoms = [clearance_term(e).geoms for e in (by_body, by_geom)]
-    names = [{by_body.model.geom(i).name for i in np.ravel(pair)} for pair in geoms]
-    assert names[0] == names[1] == {"base", "link3", "pin3"}
-    assert [len(pair) for pair in geoms] == [2, 2]
-
-
-def test_clearance_leaves_a_floating_base_alone_and_minds_planes_from_afar(tmp_path: Path) -> None:
-    task = {"type": "clearance", "pairs": [["floor", "bob"]], "distance": 0.5}
-    evaluation = evaluation_of(written(tmp_path, FLOATING_BALL), task)
-    q = evaluation.problem.start.copy()
-    q[:3] = (50.0, -30.0, 0.3)  # far from the plane's own centre; the bob is 0.2 above it
-    error = error_at(evaluation, q)
-    assert error == pytest.approx([row_error(0.2, 0.5)], abs=ROUNDING)
-    slope = (1.0 - 0.2 / 0.5) * -1.0  # turning the arm lowers the bob
-    assert evaluation.jacobian == pytest.approx(np.array([[0.0] * 6 + [slope]]), abs=ROUNDING)
-    for height in (0.1, 0.7):  # touching, where there is no direction, and beyond the distance
-        q[2] = height
-        assert not error_at(evaluation, q).any()
-        assert not evaluation.jacobian.any()
-
-
 # Below a frame task.
 
 
@@ -515,108 +309,3 @@ def test_all_three_stay_finite_and_move_only_the_dofs_named(level: int) -> None:
         assert np.isfinite(controller.engine.evaluation.error).all()
         assert not step.v[still].any()
     assert not any(controller.set_target(name, q=problem.start) for name in ("centre", "clear"))
-
-
-# Mistakes.
-
-
-@pytest.mark.parametrize(
-    ("robot", "task", "message"),
-    [
-        (
-            "four_bar",
-            {"type": "centering"},
-            "tasks[0].joints: no hinge or slide of this model has a range",
-        ),
-        (
-            "mobile_arm",
-            {"type": "centering", "joints": ["arm_joint1", "base_yaw"]},
-            "tasks[0].joints: joint 'base_yaw' is no hinge or slide with a range",
-        ),
-        (
-            "biped",
-            {"type": "centering", "joints": ["root"]},
-            "tasks[0].joints: joint 'root' is no hinge or slide with a range",
-        ),
-        (
-            "biped",
-            {"type": "manipulability", "frame": {"site": "pelvis"}},
-            "tasks[0].frame: no joint moves the site 'pelvis'",
-        ),
-        (
-            "planar_2r",
-            {"type": "manipulability", "frame": {"body": "base"}},
-            "tasks[0].frame: no joint moves the body 'base'",
-        ),
-        (
-            "planar_2r",
-            {"type": "manipulability", "frame": {"body": "link1"}},
-            "tasks[0].part: no joint changes the position of the body 'link1'",
-        ),
-        (
-            "planar_2r",
-            {"type": "clearance", "pairs": [["link2", "link1"], ["base", "floor"]]},
-            "tasks[0].pairs: no joint moves 'base' and 'floor' relative to each other",
-        ),
-        (
-            "planar_2r",
-            {"type": "clearance", "pairs": [["link1", "pin1"]]},
-            "tasks[0].pairs: no joint moves 'link1' and 'pin1' relative to each other",
-        ),
-        (
-            "dual_arm",
-            {"type": "clearance", "pairs": [["left_hand", "table"]]},
-            "tasks[0]: no geom or body named 'left_hand'",
-        ),
-    ],
-)
-def test_what_does_not_fit_the_model_is_said(
-    robot: str, task: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ConfigError) as caught:
-        rmrc.compile(config(scene_path(robot, Path()), [{"name": "task", **task}]))
-    assert str(caught.value).startswith(message)
-
-
-def test_a_body_without_geoms_is_said(tmp_path: Path) -> None:
-    spec = mujoco.MjSpec.from_file(scene_path("planar_2r", tmp_path))
-    spec.worldbody.add_body(name="marker")
-    task = {"name": "task", "type": "clearance", "pairs": [["marker", "link2"]]}
-    with pytest.raises(ConfigError, match="the body 'marker' has no geoms"):
-        rmrc.compile(config(written(tmp_path, spec.to_xml()), [task]))
-
-
-def test_names_of_geoms_and_bodies_are_checked_in_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "arm.yaml"
-    file.write_text(
-        f"scene: {REPOSITORY / 'scenes' / 'planar_2r.xml'}\n"
-        "tasks:\n"
-        "  - name: clear\n"
-        "    type: clearance\n"
-        "    pairs: [[pin2, base], [lnik2, floor]]\n"
-    )
-    with pytest.raises(ConfigError) as caught:
-        rmrc.load(file)
-    (mistake,) = caught.value.mistakes
-    assert mistake.message == (
-        "no geom or body named 'lnik2'; did you mean 'link2'? "
-        "There is: floor, base, link1, pin1, link2, pin2, world (`rmrc inspect` lists all names)"
-    )
-    assert mistake.place is not None
-    assert (mistake.place.line, mistake.place.column) == (5, 28)
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"pairs": []}, "pairs: this list is empty; name at least one"),
-        ({"pairs": "link1"}, "pairs: a list of pairs is wanted here, not the text 'link1'"),
-        ({"pairs": [["link1"]]}, "pairs[0]: a list of 2 values is wanted here"),
-        ({"pairs": [["link1", "post"]], "distance": 0}, "distance: this must be greater"),
-        ({"pairs": [["link1", "post"]], "B": -1.0}, "B: this must be at least 0"),
-    ],
-)
-def test_values_out_of_bounds_are_said(keys: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        rmrc.ClearanceTask(name="task", **keys)
-    assert str(caught.value).startswith(message)
