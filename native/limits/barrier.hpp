@@ -2,9 +2,9 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
 
 #include "base/memory.hpp"
+#include "base/numbers.hpp"
 #include "kinematics/mujoco.hpp"
 
 namespace rmrc {
@@ -47,7 +47,7 @@ class Barrier {
   virtual double reach(int id, const double* step, double dt) const = 0;
 
   /// Return how far an entry may move between two looks, not to pass unnoticed.
-  virtual double thickness(int) const { return std::numeric_limits<double>::infinity(); }
+  virtual double thickness(int) const { return infinity; }
 
   /// Go through what there is to keep between two steps.
   virtual void keep(Memory&) {}

@@ -6,16 +6,13 @@
 
 #include "base/kernels.hpp"
 #include "base/lie.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
 namespace {
 
 constexpr double farthest = 1e10;  // rmrc.limits.collision.FARTHEST
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
-
-double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
 
 }  // namespace
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "base/kernels.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -16,8 +17,6 @@ constexpr double rounding = 1e-9;
 constexpr double fastest = 1e6;
 
 constexpr std::int64_t most_of_one = 4;  // rows of one entry
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
 
 }  // namespace
 

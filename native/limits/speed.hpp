@@ -3,8 +3,8 @@
 
 #include <vector>
 
+#include "kinematics/frame.hpp"
 #include "kinematics/mujoco.hpp"
-#include "tasks/tasks.hpp"
 
 namespace rmrc {
 

@@ -103,7 +103,7 @@ double BallRange::distance(const Kinematics& at, int id) const {
 // No rotation adds more than its own angle to another.
 double BallRange::reach(int id, const double* step, double) const {
   const double* turn = step + balls_[id].dof;
-  return std::sqrt(dot3(turn, turn));
+  return norm3(turn);
 }
 
 TendonRange::TendonRange(std::vector<TendonEnd> ends, double gain, double push, int nv)

@@ -2,15 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
+
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
 namespace {
 
 // σ² is found to this, relative to ε²; λ_a² is linear in it.
-constexpr double resolution = 4.0 * std::numeric_limits<double>::epsilon();
+constexpr double resolution = 4.0 * epsilon;
 // The bound of a reference need not be close: relative to ε².
 constexpr double bound_resolution = 0.05;
 // What rounding can do to a singular value, relative to the norm of W, and more.

@@ -77,7 +77,7 @@ void Loop::measure(double* measures) const {
   double squares[2] = {0.0, 0.0};
   for (int r = 0; r < data_.rows; ++r) {
     const double value = scale_[r] * error()[r];
-    squares[angular_[r]] += value * value;
+    squares[angular_[r] ? 1 : 0] += value * value;
   }
   for (int k = 0; k < 2; ++k) measures[k] = std::sqrt(squares[k]);
 }

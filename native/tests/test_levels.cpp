@@ -110,8 +110,8 @@ void test_levels(bool preserved) {
     const std::vector<rmrc::Level> levels = problem.levels(preserved);
     const rmrc::Program limits = problem.limits();
     const long before = allocations;
-    const bool found = cascade.solve(levels, limits, rmrc::QPSolver::Clock::time_point::max()) ==
-                       rmrc::Status::solved;
+    const bool found = cascade.solve(levels, limits, rmrc::Clock::time_point::max()) ==
+                       rmrc::SolveStatus::solved;
     expect(allocations == before, "called for memory", k);
     if (!found) continue;
     ++solved;
@@ -139,7 +139,7 @@ void test_levels(bool preserved) {
     rmrc::Program whole = limits;
     whole.H = H.data();
     whole.g = g.data();
-    if (alone.solve(whole) != rmrc::Status::solved) continue;
+    if (alone.solve(whole) != rmrc::SolveStatus::solved) continue;
     const double least = missed(problem.first, problem.wanted, alone.v());
     expect(missed(problem.first, problem.wanted, v) <= least + 1e-7, "a level gives way", k);
   }
@@ -166,7 +166,7 @@ void test_equalities() {
     std::copy_n(jacobian.begin(), n, jacobian.begin() + (rows - 1) * n);
     for (int r = 0; r < rows; ++r) rate[r] = product(jacobian.data() + r * n, v.data(), n);
     const long before = allocations;
-    equalities.update(false);
+    equalities.update(false, v.data());  // no joint is to stand still
     expect(allocations == before, "called for memory", k);
     expect(equalities.count() == rows - 1, "a wrong number of equalities", equalities.count());
     expect(!equalities.inconsistent(), "what agrees is called a contradiction", k);
@@ -175,7 +175,7 @@ void test_equalities() {
       expect(std::abs(by) <= rounding, "an equality is another", k);
     }
     rate[0] += 1e-3;
-    equalities.update(false);
+    equalities.update(false, v.data());  // no joint is to stand still
     expect(equalities.inconsistent(), "a contradiction is not seen", k);
   }
 }
