@@ -53,13 +53,16 @@ def limits(folder: Path) -> dict[str, Any]:
     return compared("compare_limits", folder, "--methods", "qp,pinv,saturated", *COARSE)
 
 
+ALSO = ["qp daqp", "qp proxqp", "qp osqp", "dls", "pinv", "inverse"]
+
+
 def test_the_json_has_a_row_for_each_run_and_a_reason_for_the_others(
     singular: dict[str, Any],
 ) -> None:
     assert set(singular) == {"comparison", "task", "runs", "left_out", "interrupted"}
     assert singular["task"] == "hand"
     assert singular["interrupted"] is False
-    assert list(by_name(singular)) == ["qp daqp", "qp proxqp", "qp osqp", "dls", "pinv", "inverse"]
+    assert list(by_name(singular)) == ["qp native", *ALSO]
     assert [each["name"] for each in singular["left_out"]] == ["weighted"]
     assert "metric" in singular["left_out"][0]["reason"]
     for run in singular["runs"]:

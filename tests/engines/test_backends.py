@@ -572,7 +572,7 @@ def test_a_module_that_cannot_be_imported_is_a_solver_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(BACKENDS, "absent", ("rmrc.qp.backends.absent", "Absent"))
-    with pytest.raises(SolverError, match="'absent' cannot be imported"):
+    with pytest.raises(SolverError, match="'absent' is not installed: pip install absent"):
         create("absent")
 
 

@@ -12,7 +12,7 @@ import pytest
 import qpsolvers
 from programs import copy_of, moving_program, random_qp, solved
 
-import rmrc.qp.backends as backends
+import rmrc.qp.backends.base as backends
 from rmrc.qp.backends import BACKENDS, Backend, create, qpsolvers_adapter
 from rmrc.qp.backends import osqp as osqp_backend
 from rmrc.qp.backends import proxqp as proxqp_backend

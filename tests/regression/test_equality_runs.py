@@ -73,15 +73,11 @@ def test_a_chain_stays_closed_while_a_frozen_joint_brakes(repository: Path, engi
     moving = scipy.linalg.null_space(pinned, rcond=1e-6)[:, 0]
     controller = rmrc.Controller(problem, engine)
     controller.reset(problem.start, v=0.1 * moving / moving[2])  # the rocker turns at 0.1 rad/s
-    for _ in range(20):
-        step = controller.step()
-        assert not step.flags & {rmrc.Status.RELAXED}
-        assert four_bar_gap(problem, step.q) < CLOSED
-    assert 0.0 < step.v[2] < 0.1
-    for _ in range(30):
-        step = controller.step()
-    assert abs(step.v[2]) < CERTIFIED
-    assert four_bar_gap(problem, step.q) < CLOSED
+    steps = [controller.step() for _ in range(50)]
+    assert not any(step.flags & {rmrc.Status.RELAXED} for step in steps)
+    assert max(four_bar_gap(problem, step.q) for step in steps) < CLOSED
+    assert 0.0 < steps[20].v[2] < 0.1
+    assert abs(steps[-1].v[2]) < CERTIFIED
 
 
 def test_a_chain_follows_a_path_with_its_coupler(repository: Path) -> None:

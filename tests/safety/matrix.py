@@ -120,7 +120,7 @@ each_robot = pytest.mark.parametrize("robot", ROBOTS)
 each_backend = pytest.mark.parametrize("backend", BACKENDS)
 
 
-def problem(robot: str, backend: str = "daqp", *tasks: dict[str, Any], **others: Any) -> Problem:
+def problem(robot: str, backend: str = "auto", *tasks: dict[str, Any], **others: Any) -> Problem:
     """Return the problem of a robot's configuration."""
     return with_backend(rmrc.compile(ROBOTS[robot].config(*tasks, **others)), backend)
 

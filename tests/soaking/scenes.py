@@ -147,7 +147,7 @@ def _draw(scene: Scene, path: str, rng: Generator) -> dict[str, Any]:
             "lambda": drawer.among(0.0, *[1e-3] * 3, *[1e-2] * 6),
             "adapt": drawer.among("off", "off", "sigma_min", "manipulability", "error"),
         },
-        "solver": {"backend": drawer.among(*["daqp"] * 8, "proxqp", "osqp")},
+        "solver": {"backend": drawer.among(*["auto"] * 6, *["daqp"] * 2, "proxqp", "osqp")},
         "priority": drawer.among(*["soft"] * 9, "strict"),
         "previous": drawer.among(*["commanded"] * 5, "measured"),
     }

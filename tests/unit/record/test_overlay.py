@@ -175,7 +175,7 @@ def test_an_interrupt_keeps_what_was_done(tmp_path: Path) -> None:
     assert not comparison.finished
     assert [entry.finished for entry in comparison.entries] == [True, False]
     assert comparison.summary["runs"][1]["steps"] < comparison.summary["runs"][0]["steps"]
-    assert {count for _, count in calls} == {5 * loaded.steps}
+    assert {count for _, count in calls} == {6 * loaded.steps}
     assert [done for done, _ in calls] == sorted(done for done, _ in calls)
     page = (comparison.save(tmp_path / "out") / "compare.html").read_text(encoding="utf-8")
     assert "pinv (unfinished)" in page
