@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <stdexcept>
 #include <utility>
 
 #include "base/kernels.hpp"
@@ -40,6 +41,23 @@ Engine::Engine(const MuJoCo& mujoco, const Stack& stack, const ProgramArrays& pr
   brake_.resize(v_.size());
 }
 
+void Engine::add(std::unique_ptr<RowTerm> term) {
+  require_placed(term->poses());
+  rows_.push_back(std::move(term));
+}
+
+void Engine::follow(ForwardKinematics& kinematics) {
+  kinematics_ = &kinematics;
+  for (const auto& term : rows_) require_placed(term->poses());
+  if (limits_ != nullptr) require_placed(limits_->poses());
+}
+
+void Engine::require_placed(const Poses& poses) const {
+  if (kinematics_ == nullptr) return;
+  if (mujoco_.moving == nullptr) throw std::invalid_argument("what moves of the model is not known");
+  kinematics_->require(poses, *mujoco_.moving);
+}
+
 void Engine::add(std::unique_ptr<ForeignRows> term) {
   foreign_.push_back(term.get());
   rows_.push_back(std::move(term));
@@ -50,6 +68,7 @@ void Engine::adapt(DampingRule rule, std::vector<TaskedRow> rows) {
 }
 
 void Engine::limit(Rows& limits, Shortening* shortening) {
+  require_placed(limits.poses());
   limits_ = &limits;
   shortening_ = shortening;
   correction_.emplace(limits);

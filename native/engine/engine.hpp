@@ -65,7 +65,8 @@ class Engine {
   const MuJoCo& mujoco() const { return mujoco_; }
   const Stack& stack() const { return stack_; }
 
-  void add(std::unique_ptr<RowTerm> term) { rows_.push_back(std::move(term)); }
+  /// Add a term; throws std::invalid_argument if it reads what the kinematics do not place.
+  void add(std::unique_ptr<RowTerm> term);
   void add(std::unique_ptr<ForeignRows> term);
   void add(JointTerm term) { joints_.push_back(std::move(term)); }
   void adapt(DampingRule rule, std::vector<TaskedRow> rows);
@@ -74,8 +75,8 @@ class Engine {
   void limit(Rows& limits, Shortening* shortening);
 
   /// Place what a step looks at by these in place of MuJoCo's, where nothing else is to be known:
-  /// they must live as long.
-  void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
+  /// they must live as long. Throws std::invalid_argument if terms or rows read more than that.
+  void follow(ForwardKinematics& kinematics);
 
   /// Have what the hard tasks ask for in the program.
   void hold(std::unique_ptr<Equalities> equalities);
@@ -166,6 +167,7 @@ class Engine {
   bool in_time() const { return !is_over(end_); }
 
  private:
+  void require_placed(const Poses& poses) const;
   void place(const double* q);
   void place_all(const double* q);
   void evaluate_terms();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 #include <numeric>
 #include <utility>
 
@@ -60,6 +61,12 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, const double* tw
 
 // Find the entries that a motion with v, or with any share between it and the brake if there is one,
 // could carry below their limit.
+void Shortening::follow(ForwardKinematics& kinematics) {
+  if (mujoco_.moving == nullptr) throw std::invalid_argument("what moves of the model is not known");
+  kinematics.require(rows_.poses_ahead(own_), *mujoco_.moving);
+  kinematics_ = &kinematics;
+}
+
 void Shortening::watch(const double* v, const double* brake, double dt) {
   dt_ = dt;
   std::fill(step_.begin(), step_.end(), 0.0);

@@ -25,8 +25,9 @@ class Shortening {
   /// `own` are the kinematics of data of its own.
   Shortening(const Rows& rows, const Kinematics& own, const double* twist, int mocaps);
 
-  /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
-  void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
+  /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long. Throws
+  /// std::invalid_argument if barriers read more than that.
+  void follow(ForwardKinematics& kinematics);
 
   /// The rows whose barriers are checked.
   const Rows& rows() const { return rows_; }

@@ -27,6 +27,10 @@ class Barrier {
   Barrier(const Barrier&) = delete;
   Barrier& operator=(const Barrier&) = delete;
 
+  /// Add the poses that `distance` reads, and what goes with it, where a command leads (`ahead`), or
+  /// all that `near` and `kept` read.
+  virtual void read(const Kinematics& at, bool ahead, Poses& poses) const = 0;
+
   /// Write what may bind in a step of dt in which each dof moves by no more than `travel` (nv,).
   virtual void near(const Kinematics& now, const double* travel, double dt, Near& near) = 0;
 

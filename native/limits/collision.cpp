@@ -44,6 +44,18 @@ void Collision::each_active(Action action) const {
   }
 }
 
+void Collision::read(const Kinematics& at, bool ahead, Poses& poses) const {
+  for (int k = 0; k < 2 * a_.pairs; ++k) {
+    poses.push_back(at.geom_xpos + 3 * a_.geoms[k]);
+    poses.push_back(at.geom_xmat + 9 * a_.geoms[k]);
+    poses.push_back(at.reference + 3 * a_.root[k]);
+  }
+  for (int body = 0; !ahead && body < a_.bodies; ++body) {  // it adds up how far they have moved
+    poses.push_back(at.xpos + 3 * body);
+    poses.push_back(at.xquat + 4 * body);
+  }
+}
+
 void Collision::near(const Kinematics& now, const double* travel, double dt, Near& near) {
   double motion = bound(now);
   extend(travel, dt);

@@ -60,6 +60,20 @@ void Rows::add(std::unique_ptr<Barrier> barrier) {
   barriers_.push_back(std::move(barrier));
 }
 
+Poses Rows::poses() const {
+  Reads reads;
+  for (const SpeedRows& speed : speeds_) reads.add(speed.frame());
+  Poses all = reads.poses();
+  for (const auto& barrier : barriers_) barrier->read(now_, false, all);
+  return all;
+}
+
+Poses Rows::poses_ahead(const Kinematics& there) const {
+  Poses all;
+  for (const auto& barrier : barriers_) barrier->read(there, true, all);
+  return all;
+}
+
 void Rows::update(const double* lb, const double* ub, double dt) {
   const int n = static_cast<int>(dofs_.size());
   count_ = 0;

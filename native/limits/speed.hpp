@@ -47,6 +47,9 @@ class SpeedRows {
   SpeedRows(Frame frame, bool turned, double linear, double angular, const double* rate,
             const double* v_previous, const int* place, int n, const double* cdof);
 
+  /// The frame whose velocity is limited.
+  const Frame& frame() const { return frame_; }
+
   int count() const { return planes * static_cast<int>(balls_.size()); }
 
   /// Write uᵀJ (count, n) and hi (count,).

@@ -23,6 +23,29 @@ namespace nb = nanobind;
 
 namespace rmrc {
 
+namespace {
+
+Anchor anchor_of(const std::string& kind) {
+  if (kind == "site") return Anchor::site;
+  if (kind == "body") return Anchor::body;
+  if (kind == "geom") return Anchor::geom;
+  throw std::invalid_argument("there is no frame of a " + kind);
+}
+
+std::size_t count_of(Anchor anchor, const Counts& counts) {
+  switch (anchor) {
+    case Anchor::site:
+      return counts.sites;
+    case Anchor::body:
+      return counts.bodies;
+    case Anchor::geom:
+      return counts.geoms;
+  }
+  return 0;
+}
+
+}  // namespace
+
 void BoundRows::add_collision(double d_min, double detect, double gain, double push, Reading twist,
                    const nb::dict& arrays) {
   require_open();
@@ -107,15 +130,8 @@ void BoundRows::add_workspace(
   require_twists(twist);
   std::vector<Plane> made;
   for (const auto& [kind, id, root, mocap, normal, offset, dofs, levers] : planes) {
-    const Anchor anchor = kind == "site"   ? Anchor::site
-                          : kind == "geom" ? Anchor::geom
-                          : kind == "body"
-                              ? Anchor::body
-                              : throw std::invalid_argument("there is no frame of a " + kind);
-    const std::size_t all = kind == "site"   ? counts_.sites
-                            : kind == "geom" ? counts_.geoms
-                                             : counts_.bodies;
-    require_index(id, static_cast<std::int64_t>(all), "frame");
+    const Anchor anchor = anchor_of(kind);
+    require_index(id, static_cast<std::int64_t>(count_of(anchor, counts_)), "frame");
     require_index(root, static_cast<std::int64_t>(counts_.bodies), "body");
     if (mocap >= 0) require_index(mocap, static_cast<std::int64_t>(counts_.mocaps), "mocap body");
     require_dofs(dofs, rows_->mujoco().nv);

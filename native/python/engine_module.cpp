@@ -51,6 +51,23 @@ nb::tuple solve(BoundEngine& bound, const std::optional<Reading>& q, double dt, 
                         kkt.complementarity, engine.outside(), engine.share(), engine.relaxed());
 }
 
+// Return which parts of a model a joint or a mocap body moves.
+MovingParts moving_parts(nb::handle model) {
+  const auto integers = [&](const char* name) {
+    return nb::cast<std::vector<int>>(model.attr(name).attr("tolist")());
+  };
+  const std::vector<int> parents = integers("body_parentid"), joints = integers("body_jntnum"),
+                         mocap = integers("body_mocapid");
+  MovingParts moving;
+  for (std::size_t k = 0; k < parents.size(); ++k) {  // a parent comes before its children
+    const bool own = joints[k] > 0 || mocap[k] >= 0;
+    moving.bodies.push_back(static_cast<char>(k > 0 && (own || moving.bodies[parents[k]] != 0)));
+  }
+  for (const int body : integers("geom_bodyid")) moving.geoms.push_back(moving.bodies[body]);
+  for (const int body : integers("site_bodyid")) moving.sites.push_back(moving.bodies[body]);
+  return moving;
+}
+
 }  // namespace
 
 BoundEngine::BoundEngine(const std::vector<std::uintptr_t>& functions, nb::object model, nb::object data,
@@ -104,7 +121,8 @@ BoundEngine::BoundEngine(const std::vector<std::uintptr_t>& functions, nb::objec
       static_cast<int>(qpos.size()),
       static_cast<int>(nv),
       qpos.data(),
-      cdof.data()};
+      cdof.data(),
+      std::make_shared<const MovingParts>(moving_parts(model))};
   const auto& [coordinate, lower, upper, gain, velocity, acceleration, jerk, step] = limits;
   for (const Numbers* values : {&lower, &upper, &velocity, &acceleration, &jerk, &step}) {
     require(*values, n, "a limit");

@@ -38,6 +38,20 @@ Combination combination_of(const SumArgument& argument) {
   return combination;
 }
 
+// How many numbers the target of a term on the joints has.
+std::size_t target_size(JointTask task, const MuJoCo& mujoco) {
+  switch (task) {
+    case JointTask::posture:
+      return static_cast<std::size_t>(mujoco.nq);
+    case JointTask::velocity:
+      return static_cast<std::size_t>(mujoco.nv);
+    case JointTask::smooth:
+    case JointTask::foreign:
+      return 0;
+  }
+  return 0;
+}
+
 RowsArgument make_rows(int first, int count, double gain, Numbers root, Reading target,
                        Reading twist, Flags moving,
                        const std::vector<std::tuple<int, int, double>>& clamps,
@@ -231,10 +245,7 @@ void BoundEngine::add_joint_task(const RowsArgument& rows, const std::string& ki
                          : kind == "foreign"
                              ? JointTask::foreign
                              : throw std::invalid_argument("there is no task " + kind);
-  const std::size_t target = task == JointTask::posture    ? engine_->mujoco().nq
-                             : task == JointTask::velocity ? nv
-                                                           : 0;
-  require_target(rows, target);
+  require_target(rows, target_size(task, engine_->mujoco()));
   for (const int dof : wrapped) require_index(dof, engine_->mujoco().nv, "dof");
   engine_->add(JointTerm{checked(rows, static_cast<int>(nv), engine_->stack().errors), task,
                          rows.root, wrapped});

@@ -17,11 +17,10 @@ constexpr double least_angle = 1e-9;    // rad
 
 Axis::Axis(TermData data, std::vector<double> root, Frame frame, const double* axis, bool at_point,
            const MuJoCo& mujoco, const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
+    : RowTerm(std::move(data), std::move(root), Reads().add(frame), mujoco, stack),
       frame_(std::move(frame)),
       at_point_(at_point) {
   std::copy_n(axis, 3, axis_);
-  stand_on(frame_);
 }
 
 void Axis::measure(double* measures) const {

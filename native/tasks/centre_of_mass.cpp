@@ -9,10 +9,15 @@ namespace rmrc {
 
 namespace {
 
-std::vector<int> dofs_of(const std::vector<MovedMass>& moved) {
+Reads reads_of(const std::vector<MovedMass>& moved, const std::vector<Subtree>& subtrees) {
   std::vector<int> dofs;
   for (const MovedMass& part : moved) dofs.push_back(part.dof);
-  return dofs;
+  Reads reads(std::move(dofs));
+  for (const MovedMass& part : moved) reads.add(part.point).add(part.reference);
+  for (const Subtree& subtree : subtrees) {
+    reads.add(subtree.point, subtree.carrier).add(subtree.reference);
+  }
+  return reads;
 }
 
 }  // namespace
@@ -20,10 +25,9 @@ std::vector<int> dofs_of(const std::vector<MovedMass>& moved) {
 CentreOfMass::CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
                            std::vector<Subtree> subtrees, const MuJoCo& mujoco,
                            const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), dofs_of(moved), mujoco, stack),
+    : RowTerm(std::move(data), std::move(root), reads_of(moved, subtrees), mujoco, stack),
       moved_(std::move(moved)),
       subtrees_(std::move(subtrees)) {
-  for (const Subtree& subtree : subtrees_) carried_ |= subtree.carrier != nullptr;
   std::stable_partition(moved_.begin(), moved_.end(),
                         [&](const MovedMass& part) { return stack.place[part.dof] >= 0; });
 }

@@ -21,7 +21,7 @@ std::vector<int> nonzero(const std::vector<double>& values) {
 Coupling::Coupling(TermData data, std::vector<double> root, std::vector<double> by_coordinate,
                    const std::vector<double>& by_dof, double offset, const MuJoCo& mujoco,
                    const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), nonzero(by_dof), mujoco, stack),
+    : RowTerm(std::move(data), std::move(root), Reads(nonzero(by_dof)), mujoco, stack),
       by_coordinate_(std::move(by_coordinate)),
       offset_(offset) {
   for (std::size_t k = 0; k < dofs_.size(); ++k) jacobian_[k] = by_dof[dofs_[k]];

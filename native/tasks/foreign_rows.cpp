@@ -17,7 +17,7 @@ std::vector<int> all_dofs(int nv) {
 
 ForeignRows::ForeignRows(TermData data, std::vector<double> root, const MuJoCo& mujoco,
                          const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), all_dofs(mujoco.nv), mujoco, stack) {}
+    : RowTerm(std::move(data), std::move(root), Reads(all_dofs(mujoco.nv)), mujoco, stack) {}
 
 void ForeignRows::read() {
   const int count = static_cast<int>(dofs_.size());

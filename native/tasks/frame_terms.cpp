@@ -23,10 +23,8 @@ void apply(const double* T, int rows, const double* x, double* out) {
 
 BodyFrame::BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
                      const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
-      frame_(std::move(frame)) {
-  stand_on(frame_);
-}
+    : RowTerm(std::move(data), std::move(root), Reads().add(frame), mujoco, stack),
+      frame_(std::move(frame)) {}
 
 void BodyFrame::measure(double* measures) const { measure_motion(error(), measures); }
 
@@ -57,10 +55,8 @@ void BodyFrame::differentiate() {
 
 WorldFrame::WorldFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
                        const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), frame.dofs, mujoco, stack),
-      frame_(std::move(frame)) {
-  stand_on(frame_);
-}
+    : RowTerm(std::move(data), std::move(root), Reads().add(frame), mujoco, stack),
+      frame_(std::move(frame)) {}
 
 void WorldFrame::measure(double* measures) const {
   measures[0] = norm3(error());

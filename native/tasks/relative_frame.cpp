@@ -8,27 +8,11 @@
 
 namespace rmrc {
 
-namespace {
-
-std::vector<int> united(const std::vector<int>& a, const std::vector<int>& b) {
-  std::vector<int> all(a);
-  for (const int dof : b) {
-    if (std::find(a.begin(), a.end(), dof) == a.end()) all.push_back(dof);
-  }
-  std::sort(all.begin(), all.end());
-  return all;
-}
-
-}  // namespace
-
 RelativeFrame::RelativeFrame(TermData data, std::vector<double> root, Frame frame, Frame base,
                              const MuJoCo& mujoco, const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), united(frame.dofs, base.dofs), mujoco, stack),
+    : RowTerm(std::move(data), std::move(root), Reads().add(frame).add(base), mujoco, stack),
       frame_(std::move(frame)),
-      base_(std::move(base)) {
-  stand_on(frame_);
-  stand_on(base_);
-}
+      base_(std::move(base)) {}
 
 void RelativeFrame::measure(double* measures) const { measure_motion(error(), measures); }
 

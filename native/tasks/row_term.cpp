@@ -11,12 +11,14 @@
 
 namespace rmrc {
 
-RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
-                 const MuJoCo& mujoco, const Stack& stack)
+RowTerm::RowTerm(TermData data, std::vector<double> root, Reads reads, const MuJoCo& mujoco,
+                 const Stack& stack)
     : data_(std::move(data)),
       mujoco_(mujoco),
       stack_(stack),
-      dofs_(std::move(dofs)),
+      dofs_(reads.dofs()),
+      carried_(reads.carried()),
+      poses_(reads.poses()),
       root_(std::move(root)),
       counts_(std::any_of(root_.begin(), root_.end(), [](double value) { return value != 0.0; })) {
   std::stable_partition(dofs_.begin(), dofs_.end(), [&](int dof) { return stack.place[dof] >= 0; });

@@ -48,8 +48,9 @@ struct WayJoint {
 /// A term with a Jacobian of its own, over the columns of the dofs that move it.
 class RowTerm {
  public:
-  /// `root` is S with B = SᵀS: (rows,) a diagonal or (rows, rows); `dofs` are in ascending order.
-  RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs, const MuJoCo& mujoco,
+  /// `root` is S with B = SᵀS: (rows,) a diagonal or (rows, rows); `reads` is all that e and J come
+  /// from.
+  RowTerm(TermData data, std::vector<double> root, Reads reads, const MuJoCo& mujoco,
           const Stack& stack);
   virtual ~RowTerm() = default;
   RowTerm(const RowTerm&) = delete;
@@ -110,6 +111,9 @@ class RowTerm {
   /// Whether the term has a way.
   bool has_way() const { return !way_.empty(); }
 
+  /// The poses that are read.
+  const Poses& poses() const { return poses_; }
+
   const TermData& data() const { return data_; }
   const std::vector<double>& root() const { return root_; }
 
@@ -126,9 +130,6 @@ class RowTerm {
   /// J ← T J_w for T (rows, 6).
   void turn(const double* T);
 
-  /// Have ẋ_ff written at every step, for a mocap body may carry the frame.
-  void stand_on(const Frame& frame) { carried_ |= frame.carrier != nullptr; }
-
   /// W = S J.
   void weigh();
 
@@ -144,7 +145,7 @@ class RowTerm {
   int stride_;
   std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
   std::vector<double> world_;     // J_w (6, stride): how the dofs move the frame
-  bool carried_ = false;           // whether mocap bodies carry any of it
+  const bool carried_;             // whether mocap bodies carry any of it, and ẋ_ff has a part of theirs
   std::vector<double> drift_;      // −∂e/∂t (rows,) of the mocap bodies
   double distance_ = infinity;  // of what the pull turns about, m
   double carried_by_[6] = {};      // velocity of what mocap bodies carry of it, as J_w
@@ -157,6 +158,7 @@ class RowTerm {
   template <int rows>
   void add_rows(double* H, double* g, int n, int first) const;
 
+  Poses poses_;
   std::vector<double> root_;
   bool counts_;               // whether anything has a weight
   std::vector<int> columns_;  // in the program, in ascending order
