@@ -1,6 +1,8 @@
 // Rotations and rigid motions: what the errors of poses are made of.
 #pragma once
 
+#include <cmath>
+
 namespace rmrc {
 
 // Vectors (3,), matrices (3, 3) by rows, quaternions wxyz, twists (6,): linear, then angular.
@@ -8,6 +10,8 @@ namespace rmrc {
 inline double dot3(const double* a, const double* b) noexcept {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
+
+inline double norm3(const double* v) noexcept { return std::sqrt(dot3(v, v)); }
 
 inline void cross(const double* a, const double* b, double* out) noexcept {
   out[0] = a[1] * b[2] - a[2] * b[1];

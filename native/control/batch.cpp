@@ -4,11 +4,12 @@
 #include <cstring>
 #include <utility>
 
+#include "control/status.hpp"
+
 namespace rmrc {
 
 namespace {
 
-constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.status.Status.INVALID_INPUT
 constexpr std::size_t line = 64;  // of a cache: what one thread writes is not beside another's
 
 }  // namespace
@@ -114,7 +115,7 @@ void Batch::take(const Worker& worker, int element, const Call& call) {
   refused_[element] = 0;
   std::copy_n(worker.stepper->state().v, nv, call.out.v + element * nv);
   std::copy_n(worker.stepper->state().q, nq, call.out.q + element * nq);
-  call.out.flags[element] = static_cast<std::int32_t>(summary.flags | (valid ? 0u : invalid_input));
+  call.out.flags[element] = static_cast<std::int32_t>(summary.flags | (valid ? 0u : status::invalid_input));
 }
 
 }  // namespace rmrc

@@ -5,22 +5,11 @@
 #include <utility>
 
 #include "control/inputs.hpp"
+#include "control/status.hpp"
 
 namespace rmrc {
 
 namespace {
-
-// rmrc.control.status.Status
-enum : unsigned {
-  limited = 1u << 1,
-  scaled = 1u << 2,
-  damped = 1u << 3,
-  recovering = 1u << 4,
-  relaxed = 1u << 5,
-  stuck = 1u << 6,
-  max_iter = 1u << 7,
-  deadline = 1u << 8
-};
 
 constexpr double active_multiplier = 1e-7;  // rmrc.control.status.ACTIVE_MULTIPLIER
 constexpr double elsewhere = 10.0;          // rmrc.limits.contacts.ELSEWHERE
@@ -77,7 +66,7 @@ bool Stepper::step(const double* q, double dt, Summary& summary) {
     engine_.forget_rows();
   }
   std::copy_n(state_.v, mujoco.nv, state_.v_previous);
-  const Ending ending = engine_.solve(from_.data(), dt, budget_);
+  const SolveStatus ending = engine_.solve(from_.data(), dt, budget_);
   progress_.update(engine_, engine_.v(), dt);
   summary = {flags(ending), ending, engine_.iterations()};
   dt_ = dt;
@@ -161,19 +150,19 @@ void Stepper::write(double* out) const {
   }
 }
 
-unsigned Stepper::flags(Ending ending) const {
+unsigned Stepper::flags(SolveStatus ending) const {
   unsigned found = 0;
-  if (ending == Ending::time_limit) {
-    found |= deadline;
-  } else if (ending != Ending::solved) {
-    found |= max_iter;
+  if (ending == SolveStatus::time_limit) {
+    found |= status::deadline;
+  } else if (ending != SolveStatus::solved) {
+    found |= status::max_iter;
   }
-  if (!engine_.in_time()) found |= deadline;
-  if (engine_.outside()) found |= recovering;
-  if (engine_.relaxed()) found |= relaxed;
-  if (engine_.scaled()) found |= scaled;
-  if (engine_.damped()) found |= damped;
-  if (progress_.stuck()) found |= stuck;
+  if (!engine_.in_time()) found |= status::deadline;
+  if (engine_.outside()) found |= status::recovering;
+  if (engine_.relaxed()) found |= status::relaxed;
+  if (engine_.scaled()) found |= status::scaled;
+  if (engine_.damped()) found |= status::damped;
+  if (progress_.stuck()) found |= status::stuck;
   double square = 0.0;
   for (int i = 0; i < engine_.size(); ++i) {
     const double z = engine_.bound_multiplier()[i];
@@ -183,8 +172,8 @@ unsigned Stepper::flags(Ending ending) const {
     const double* y = rows->arrays().multiplier;
     for (int r = 0; r < rows->count(); ++r) square += y[r] * y[r];
   }
-  if (square > active_multiplier * active_multiplier || engine_.share() < 1.0) found |= limited;
-  if (engine_.relaxed()) found |= relaxed;
+  if (square > active_multiplier * active_multiplier || engine_.share() < 1.0) found |= status::limited;
+  if (engine_.relaxed()) found |= status::relaxed;
   return found;
 }
 

@@ -32,7 +32,7 @@ struct KeptFlags {
 /// What a step has to say beside its numbers.
 struct Summary {
   unsigned flags;  // bit k for the status of value k, as in rmrc.control.status.Status
-  Ending ending;
+  SolveStatus ending;
   int iterations;
 };
 
@@ -81,7 +81,7 @@ class Stepper {
   bool read(const double* q);
   bool is_elsewhere(double dt) const;
   void carry_out(double dt);
-  unsigned flags(Ending ending) const;
+  unsigned flags(SolveStatus ending) const;
 
   Engine& engine_;
   Progress progress_;

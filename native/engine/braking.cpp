@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "base/kernels.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -14,8 +14,6 @@ namespace {
 constexpr double steady = 0.37;
 constexpr double eased = 0.4;
 constexpr double tracked = 0.6;
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
 
 bool any_finite(const std::vector<double>& values) {
   return std::any_of(values.begin(), values.end(), [](double x) { return std::isfinite(x); });

@@ -1,13 +1,13 @@
 // The whole step: evaluate, assemble, solve, certify, and what there is where that fails.
 #pragma once
 
-#include <chrono>
-#include <limits>
 #include <memory>
 #include <optional>
 #include <vector>
 
+#include "base/clock.hpp"
 #include "base/memory.hpp"
+#include "base/numbers.hpp"
 #include "engine/braking.hpp"
 #include "engine/correction.hpp"
 #include "engine/shorten.hpp"
@@ -21,8 +21,10 @@
 #include "solver/qp.hpp"
 #include "tasks/damping.hpp"
 #include "tasks/equalities.hpp"
+#include "tasks/foreign_rows.hpp"
+#include "tasks/joint_term.hpp"
 #include "tasks/levels.hpp"
-#include "tasks/tasks.hpp"
+#include "tasks/row_term.hpp"
 
 namespace rmrc {
 
@@ -50,12 +52,6 @@ struct Constants {
   double soft_ratio;             // of the weights of a level and the one above it
 };
 
-/// How a step ended: as in rmrc.qp.program.SolveStatus.
-enum class Ending { solved, max_iter, time_limit, infeasible, failed };
-
-/// The value of that SolveStatus.
-const char* name_of(Ending ending);
-
 /// Solves one step after the other, each from the active set of the last.
 ///
 /// The specification is rmrc.engine.python.PythonEngine. All memory is taken before the first step.
@@ -69,7 +65,8 @@ class Engine {
   const MuJoCo& mujoco() const { return mujoco_; }
   const Stack& stack() const { return stack_; }
 
-  void add(std::unique_ptr<RowTerm> term) { rows_.push_back(std::move(term)); }
+  /// Add a term; throws std::invalid_argument if it reads what the kinematics do not place.
+  void add(std::unique_ptr<RowTerm> term);
   void add(std::unique_ptr<ForeignRows> term);
   void add(JointTerm term) { joints_.push_back(std::move(term)); }
   void adapt(DampingRule rule, std::vector<TaskedRow> rows);
@@ -78,8 +75,8 @@ class Engine {
   void limit(Rows& limits, Shortening* shortening);
 
   /// Place what a step looks at by these in place of MuJoCo's, where nothing else is to be known:
-  /// they must live as long.
-  void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
+  /// they must live as long. Throws std::invalid_argument if terms or rows read more than that.
+  void follow(ForwardKinematics& kinematics);
 
   /// Have what the hard tasks ask for in the program.
   void hold(std::unique_ptr<Equalities> equalities);
@@ -97,8 +94,8 @@ class Engine {
 
   /// Solve a step of dt seconds at q (nq,), or at what was evaluated last if q is null, within so
   /// many seconds from now.
-  Ending solve(const double* q, double dt,
-               double seconds = std::numeric_limits<double>::infinity());
+  SolveStatus solve(const double* q, double dt,
+               double seconds = infinity);
 
   /// Forget the last solution, so that the next solve starts cold.
   void forget();
@@ -170,6 +167,7 @@ class Engine {
   bool in_time() const { return !is_over(end_); }
 
  private:
+  void require_placed(const Poses& poses) const;
   void place(const double* q);
   void place_all(const double* q);
   void evaluate_terms();
@@ -192,22 +190,22 @@ class Engine {
   void spare(const std::vector<Level>& levels);
   void add_joints();
   void add_inertia();
-  Ending attempt();
+  SolveStatus attempt();
   Program program() const;
-  Ending best();
-  Ending certified_best();
-  Ending solve_levels();
-  bool trusted(Ending ending) const;
+  SolveStatus best();
+  SolveStatus certified_best();
+  SolveStatus solve_levels();
+  bool trusted(SolveStatus ending) const;
   void renew_solver();
   void brake(double* v);
   void plan();
 
-  Ending descend_ladder(Ending ending, bool warm);
-  bool feasible(Ending ending) const;
+  SolveStatus descend_ladder(SolveStatus ending, bool warm);
+  bool feasible(SolveStatus ending) const;
   bool relax();
-  Ending within_relaxed();
-  Ending without_rows();
-  Ending stop(Ending ending);
+  SolveStatus within_relaxed();
+  SolveStatus without_rows();
+  SolveStatus stop(SolveStatus ending);
 
   bool cut();
   void slow_down();
@@ -254,7 +252,7 @@ class Engine {
   int max_iterations_;
   QPSolver solver_;
   bool warm_ = false;
-  QPSolver::Clock::time_point end_;
+  Clock::time_point end_;
   double dt_ = 0.0;
   bool outside_ = false;
   int iterations_ = 0;

@@ -7,14 +7,13 @@
 
 #include "base/kernels.hpp"
 #include "engine/engine.hpp"
+#include "solver/tolerances.hpp"
 
 namespace rmrc {
 
 namespace {
 
-// rmrc.engine.python: CERTIFIED and GAINED.
-constexpr double certified = 1e-6;
-constexpr double gained = 1e-3;
+constexpr double gained = 1e-3;  // rmrc.engine.python.GAINED
 constexpr double forced = 1e-9;  // rmrc.engine.python.FORCED
 
 }  // namespace
@@ -40,7 +39,7 @@ void Engine::at_distance(double dt) {
     std::copy_n(equalities_->arrays().multiplier, equalities_->count(), first_w_.begin());
   }
   relaxed_ = relaxed;
-  Ending corrected = best();
+  SolveStatus corrected = best();
   while (trusted(corrected) && cut()) corrected = best();
   if (trusted(corrected) && !(limits_->excess(v_.data()) > 0.0)) {
     keep_distances(dt);

@@ -5,22 +5,20 @@
 #include <cmath>
 
 #include "engine/engine.hpp"
+#include "solver/tolerances.hpp"
 
 namespace rmrc {
 
 namespace {
 
-// rmrc.engine.python: CERTIFIED and MORE_ROOM; and rmrc.qp.relax.INCONSISTENT.
-constexpr double certified = 1e-6;
-constexpr double more_room = 1e-8;  // rad/s or m/s
-constexpr double inconsistent = 1e-6;
+constexpr double more_room = 1e-8;  // rad/s or m/s; rmrc.engine.python.MORE_ROOM
 
 }  // namespace
 
 // Return how the step ends by the first rung that holds, from a cold start on. What the solver
 // gives up on it has tried from a cold start itself.
-Ending Engine::descend_ladder(Ending ending, bool warm) {
-  if (warm && ending == Ending::solved && in_time()) {
+SolveStatus Engine::descend_ladder(SolveStatus ending, bool warm) {
+  if (warm && ending == SolveStatus::solved && in_time()) {
     forget();
     ending = attempt();
     if (trusted(ending)) return ending;
@@ -38,8 +36,8 @@ Ending Engine::descend_ladder(Ending ending, bool warm) {
 }
 
 // Whether a solver that was interrupted has left a point that keeps all limits.
-bool Engine::feasible(Ending ending) const {
-  const bool stopped = ending == Ending::max_iter || ending == Ending::time_limit;
+bool Engine::feasible(SolveStatus ending) const {
+  const bool stopped = ending == SolveStatus::max_iter || ending == SolveStatus::time_limit;
   return stopped && residuals_.primal <= certified;
 }
 
@@ -48,7 +46,7 @@ bool Engine::feasible(Ending ending) const {
 bool Engine::relax() {
   brake(brake_.data());
   if (!least_->find(program(), brake_.data(), end_)) return false;
-  relaxed_ |= least_->violation() > inconsistent;
+  relaxed_ |= least_->violation() > inconsistency;
   move_limits();
   least_->relax(lower_.data(), upper_.data(), right_.data());
   return true;
@@ -56,8 +54,8 @@ bool Engine::relax() {
 
 // Return how the optimum of what was relaxed ends; where it is not found, the v that it was relaxed
 // for is a feasible point.
-Ending Engine::within_relaxed() {
-  Ending ending = best();
+SolveStatus Engine::within_relaxed() {
+  SolveStatus ending = best();
   if (!trusted(ending) && !feasible(ending) && in_time()) {
     for (int r = 0; r < row_count(); ++r) {
       lower_[r] -= more_room;
@@ -74,11 +72,11 @@ Ending Engine::within_relaxed() {
   std::fill_n(y, limits.rows, 0.0);
   std::fill_n(w, limits.equalities, 0.0);
   residuals_ = certify(size(), limits, z_.data(), y, w, v_.data(), residual_.data());
-  return ending == Ending::time_limit ? ending : Ending::max_iter;
+  return ending == SolveStatus::time_limit ? ending : SolveStatus::max_iter;
 }
 
 // Return how the optimum inside the box alone ends.
-Ending Engine::without_rows() {
+SolveStatus Engine::without_rows() {
   if (limits_ != nullptr) std::fill_n(limits_->arrays().multiplier, limits_->count(), 0.0);
   if (equalities_ != nullptr) {
     std::fill_n(equalities_->arrays().multiplier, equalities_->count(), 0.0);
@@ -89,9 +87,9 @@ Ending Engine::without_rows() {
 }
 
 // Have the brake in place of a solution that is none.
-Ending Engine::stop(Ending ending) {
+SolveStatus Engine::stop(SolveStatus ending) {
   brake(v_.data());
-  return ending == Ending::solved ? Ending::failed : ending;
+  return ending == SolveStatus::solved ? SolveStatus::failed : ending;
 }
 
 }  // namespace rmrc

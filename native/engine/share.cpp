@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/numbers.hpp"
 #include "engine/shorten.hpp"
 
 namespace rmrc {
@@ -20,7 +21,7 @@ constexpr double close = 0.01;
 }  // namespace
 
 Share Shortening::share(const double* v, const double* brake, double dt,
-                        QPSolver::Clock::time_point end) {
+                        Clock::time_point end) {
   end_ = end;
   watch(v, nullptr, dt);
   if (count_ == 0) return {1.0, false};
@@ -50,7 +51,7 @@ Share Shortening::share(const double* v, const double* brake, double dt,
 
 // Return a share below `high` at which the worst entry of the last look has room again.
 double Shortening::guess(const double* v, const double* brake, double high, double dt) {
-  double low = 0.0, room_low = std::numeric_limits<double>::infinity();
+  double low = 0.0, room_low = infinity;
   double room_high = found_.least, share = 0.0;
   for (int k = 0; k < guesses; ++k) {
     blend(v, brake, share, dt);

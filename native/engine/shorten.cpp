@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 #include <numeric>
 #include <utility>
 
 #include "base/lie.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -17,8 +19,6 @@ constexpr double noise = 1e-3;
 constexpr int most_looks = 256;
 constexpr int most_parts = 24;
 constexpr int most_ahead = 56;  // parts of parts, more than log₂ of most_steps of path.cpp
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
 
 }  // namespace
 
@@ -61,6 +61,12 @@ Shortening::Shortening(const Rows& rows, const Kinematics& own, const double* tw
 
 // Find the entries that a motion with v, or with any share between it and the brake if there is one,
 // could carry below their limit.
+void Shortening::follow(ForwardKinematics& kinematics) {
+  if (mujoco_.moving == nullptr) throw std::invalid_argument("what moves of the model is not known");
+  kinematics.require(rows_.poses_ahead(own_), *mujoco_.moving);
+  kinematics_ = &kinematics;
+}
+
 void Shortening::watch(const double* v, const double* brake, double dt) {
   dt_ = dt;
   std::fill(step_.begin(), step_.end(), 0.0);
@@ -226,12 +232,12 @@ void Shortening::look(double place, const int* among, int count, Look& look) {
   for (int k = 0; k < count; ++k) {
     const int at = among[k];
     const Entry& entry = entries_[at];
-    const bool planes = entry.pairs != nullptr;
-    double known = planes ? entry.pairs->least(own_, entry.id, entry.plane)
+    const bool of_pairs = entry.pairs != nullptr;
+    double known = of_pairs ? entry.pairs->least(own_, entry.id, entry.plane)
                           : entry.barrier->distance(own_, entry.id);
     known -= entry.floor;
     double room = known;
-    if (planes && !(known >= 0.0)) room = entry.barrier->distance(own_, entry.id) - entry.floor;
+    if (of_pairs && !(known >= 0.0)) room = entry.barrier->distance(own_, entry.id) - entry.floor;
     look.known[at] = known;
     look.room[at] = room;
     if (room >= look.least) continue;
@@ -261,7 +267,7 @@ void Shortening::move_obstacles(double dt) {
       own_.mocap_pos[3 * k + i] = rows_.now().mocap_pos[3 * k + i] + dt * twist[i];
     }
     // exp(½ ω dt) q: the rate is along the world's axes.
-    const double speed = std::sqrt(dot3(rate, rate)), half = 0.5 * speed * dt;
+    const double speed = norm3(rate), half = 0.5 * speed * dt;
     const double sine = speed > 0.0 ? std::sin(half) / speed : 0.0;
     const double left[4] = {std::cos(half), sine * rate[0], sine * rate[1], sine * rate[2]};
     const double back[4] = {turn[0], -turn[1], -turn[2], -turn[3]};

@@ -1,9 +1,10 @@
 // The check of a command where it leads, and its shortening where a distance would be passed.
 #pragma once
 
-#include <limits>
 #include <vector>
 
+#include "base/clock.hpp"
+#include "base/numbers.hpp"
 #include "engine/path.hpp"
 #include "kinematics/kinematics.hpp"
 #include "limits/collision.hpp"
@@ -24,8 +25,9 @@ class Shortening {
   /// `own` are the kinematics of data of its own.
   Shortening(const Rows& rows, const Kinematics& own, const double* twist, int mocaps);
 
-  /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long.
-  void follow(ForwardKinematics& kinematics) { kinematics_ = &kinematics; }
+  /// Place what the barriers look at by these, in place of MuJoCo's: they must live as long. Throws
+  /// std::invalid_argument if barriers read more than that.
+  void follow(ForwardKinematics& kinematics);
 
   /// The rows whose barriers are checked.
   const Rows& rows() const { return rows_; }
@@ -33,7 +35,7 @@ class Shortening {
   /// Return how much of v (n,) keeps all distances after a step of dt, and on the way to rest
   /// behind it, with the brake (n,); nothing of it where the clock says `end` first.
   Share share(const double* v, const double* brake, double dt,
-              QPSolver::Clock::time_point end = QPSolver::Clock::time_point::max());
+              Clock::time_point end = Clock::time_point::max());
 
   /// Go where v (n,) leads in a step of dt, or where it comes to rest, behind a share for the same
   /// step; return how long the way there takes at v, 0 where the joints rest after the step.
@@ -58,7 +60,7 @@ class Shortening {
   struct Look {
     double place = 0.0;
     std::vector<double> way, room, known;
-    double least = std::numeric_limits<double>::infinity();  // of the rooms
+    double least = infinity;  // of the rooms
     int worst = 0;                                           // the entry that has it
   };
 
@@ -99,7 +101,7 @@ class Shortening {
   std::vector<const Collision*> pairs_;  // of each block, or null
 
   Path path_;
-  QPSolver::Clock::time_point end_;
+  Clock::time_point end_;
   double dt_ = 0.0;
   std::vector<double> command_;                            // (n,)
   std::vector<double> step_, fast_, change_, bent_, moved_;  // over all dofs (nv,)

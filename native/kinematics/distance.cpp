@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <optional>
 
 #include "base/lie.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -24,7 +24,7 @@ struct Pierced {
 // None where the segment c + t u, |t| ≤ half, does not overlap the box. The overlap is least along a
 // normal of the box's faces, or across the segment and an edge.
 std::optional<Pierced> pierced(const double* c, const double* u, const double* box, double half) {
-  Pierced found{std::numeric_limits<double>::infinity(), {0.0, 0.0, 0.0}, 0.0};
+  Pierced found{infinity, {0.0, 0.0, 0.0}, 0.0};
   auto& [least, axis, along] = found;
   int edge = -1;
   for (int i = 0; i < 3; ++i) {
@@ -108,7 +108,7 @@ double capsule_and_box(const Kinematics& at, const GeomPair& pair, double* segme
       const double x = c[i] + along * u[i];
       axis[i] = std::min(std::max(x, -pair.box[i]), pair.box[i]) - x;
     }
-    const double gap = std::sqrt(dot3(axis, axis));
+    const double gap = norm3(axis);
     for (double& component : axis) component /= gap != 0.0 ? gap : 1.0;
     d = gap - pair.radius;
   }

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <stdexcept>
+#include <string>
 #include <utility>
 
 #include "base/lie.hpp"
@@ -157,6 +160,62 @@ void ForwardKinematics::place(const Body& body) {
   }
   normalize(quaternion);
   write_matrix(quaternion, a_.xmat + 9 * body.id);
+}
+
+void ForwardKinematics::require(const Poses& poses, const MovingParts& moving) const {
+  MovingParts old = moving;
+  std::vector<char> weighed(moving.bodies.size());
+  const auto refuse = [](const char* kind, std::size_t id) {
+    throw std::invalid_argument(std::string(kind) + ' ' + std::to_string(id) +
+                                " is looked at, and is none of what the kinematics place");
+  };
+  const auto current = [&](int body) {
+    if (old.bodies[body]) refuse("body", body);
+  };
+  for (const Body& body : placed_.bodies) {
+    current(body.parent);
+    old.bodies[body.id] = 0;
+  }
+  for (const Attached& geom : placed_.geoms) {
+    current(geom.body);
+    old.geoms[geom.id] = 0;
+  }
+  for (const Attached& site : placed_.sites) {
+    current(site.body);
+    old.sites[site.id] = 0;
+  }
+  for (const Mass& part : placed_.masses) {
+    current(part.id);
+    weighed[part.id] = 1;
+  }
+  // Where in an array of so many numbers for each of its things an address is, or −1.
+  const auto index = [](const double* pose, const double* first, std::size_t count, int width) {
+    const std::less<const double*> before;
+    if (before(pose, first) || !before(pose, first + width * count)) return -1;
+    return static_cast<int>((pose - first) / width);
+  };
+  for (const double* pose : poses) {
+    const struct {
+      const char* kind;
+      const double* first;
+      int width;
+      const std::vector<char>& old;
+    } arrays[] = {
+        {"body", a_.xpos, 3, old.bodies},         {"body", a_.xquat, 4, old.bodies},
+        {"body", a_.xmat, 9, old.bodies},         {"geom", a_.geom_xpos, 3, old.geoms},
+        {"geom", a_.geom_xmat, 9, old.geoms},     {"site", a_.site_xpos, 3, old.sites},
+        {"site", a_.site_xmat, 9, old.sites}};
+    bool known = false;
+    for (const auto& array : arrays) {
+      const int id = index(pose, array.first, array.old.size(), array.width);
+      if (id < 0) continue;
+      known = true;
+      if (array.old[id]) refuse(array.kind, id);
+    }
+    const int subtree = index(pose, a_.subtree_com, weighed.size(), 3);
+    if (subtree >= 0 && !weighed[subtree]) refuse("subtree", subtree);
+    if (!known && subtree < 0) throw std::invalid_argument("a pose is none of the kinematics' data");
+  }
 }
 
 // Put a body where it is in its parent before its joints move it.

@@ -3,6 +3,8 @@
 
 #include <vector>
 
+#include "kinematics/mujoco.hpp"
+
 namespace rmrc {
 
 /// The kinds of joints, by the numbers of MuJoCo's mjtJoint.
@@ -72,6 +74,11 @@ class ForwardKinematics {
 
   /// Go to a configuration (nq,), which may be where it is.
   void update(const double* q);
+
+  /// Refuse poses that would be old after `update`: of what moves, and is not placed.
+  ///
+  /// Throws std::invalid_argument, with what it is that was not registered.
+  void require(const Poses& poses, const MovingParts& moving) const;
 
   /// nq.
   int coordinates() const { return nq_; }

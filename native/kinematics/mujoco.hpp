@@ -4,6 +4,9 @@
 // these signatures.
 #pragma once
 
+#include <memory>
+#include <vector>
+
 namespace rmrc {
 
 /// The functions of libmujoco that a step calls; mjModel and mjData are opaque.
@@ -19,6 +22,14 @@ struct MuJoCoFunctions {
                           double* segment);
 };
 
+/// Which bodies, geoms and sites of a model anything moves.
+struct MovingParts {
+  std::vector<char> bodies, geoms, sites;
+};
+
+/// Addresses of poses in the arrays of an mjData.
+using Poses = std::vector<const double*>;
+
 /// A model with its data, and the arrays of theirs that a step reads.
 struct MuJoCo {
   MuJoCoFunctions call;
@@ -27,6 +38,7 @@ struct MuJoCo {
   int nq, nv;
   double* qpos;        // (nq,)
   const double* cdof;  // (nv, 6): the axis of each dof, angular then linear, at its root's origin
+  std::shared_ptr<const MovingParts> moving = nullptr;  // needed where not all poses are MuJoCo's
 };
 
 /// Any data of the model, and the arrays of its that barriers read.

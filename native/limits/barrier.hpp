@@ -2,9 +2,9 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
 
 #include "base/memory.hpp"
+#include "base/numbers.hpp"
 #include "kinematics/mujoco.hpp"
 
 namespace rmrc {
@@ -27,6 +27,10 @@ class Barrier {
   Barrier(const Barrier&) = delete;
   Barrier& operator=(const Barrier&) = delete;
 
+  /// Add the poses that `distance` reads, and what goes with it, where a command leads (`ahead`), or
+  /// all that `near` and `kept` read.
+  virtual void read(const Kinematics& at, bool ahead, Poses& poses) const = 0;
+
   /// Write what may bind in a step of dt in which each dof moves by no more than `travel` (nv,).
   virtual void near(const Kinematics& now, const double* travel, double dt, Near& near) = 0;
 
@@ -47,7 +51,7 @@ class Barrier {
   virtual double reach(int id, const double* step, double dt) const = 0;
 
   /// Return how far an entry may move between two looks, not to pass unnoticed.
-  virtual double thickness(int) const { return std::numeric_limits<double>::infinity(); }
+  virtual double thickness(int) const { return infinity; }
 
   /// Go through what there is to keep between two steps.
   virtual void keep(Memory&) {}

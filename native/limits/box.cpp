@@ -2,14 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
+
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
 namespace {
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double range_rounding = 1e-9;  // rmrc.limits.box.RANGE_ROUNDING
 constexpr double tiny = 1e-300;          // rmrc.limits.box.TINY
 constexpr double far = 1e12;             // stands for the room of a joint without a range

@@ -6,16 +6,13 @@
 
 #include "base/kernels.hpp"
 #include "base/lie.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
 namespace {
 
 constexpr double farthest = 1e10;  // rmrc.limits.collision.FARTHEST
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
-
-double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
 
 }  // namespace
 
@@ -44,6 +41,18 @@ void Collision::each_active(Action action) const {
   }
   for (; id < a_.pairs; ++id) {
     if (a_.active[id]) action(id);
+  }
+}
+
+void Collision::read(const Kinematics& at, bool ahead, Poses& poses) const {
+  for (int k = 0; k < 2 * a_.pairs; ++k) {
+    poses.push_back(at.geom_xpos + 3 * a_.geoms[k]);
+    poses.push_back(at.geom_xmat + 9 * a_.geoms[k]);
+    poses.push_back(at.reference + 3 * a_.root[k]);
+  }
+  for (int body = 0; !ahead && body < a_.bodies; ++body) {  // it adds up how far they have moved
+    poses.push_back(at.xpos + 3 * body);
+    poses.push_back(at.xquat + 4 * body);
   }
 }
 

@@ -46,6 +46,7 @@ class Collision final : public Barrier {
  public:
   Collision(const PairArrays& arrays, const MuJoCo& mujoco);
 
+  void read(const Kinematics& at, bool ahead, Poses& poses) const override;
   void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
   void kept(const Kinematics& now, Near& near) override;
   int most_kept() const override { return most_contacts * a_.pairs; }

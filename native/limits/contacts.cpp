@@ -13,8 +13,6 @@ namespace {
 
 constexpr double aside = 0.05;  // rmrc.limits.contacts.ASIDE
 
-double norm3(const double* x) { return std::sqrt(dot3(x, x)); }
-
 }  // namespace
 
 // Write the points of a pair that were nearest before, and are near still.

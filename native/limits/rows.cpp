@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "base/kernels.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -16,8 +17,6 @@ constexpr double rounding = 1e-9;
 constexpr double fastest = 1e6;
 
 constexpr std::int64_t most_of_one = 4;  // rows of one entry
-
-constexpr double infinity = std::numeric_limits<double>::infinity();
 
 }  // namespace
 
@@ -59,6 +58,20 @@ void Rows::add(std::unique_ptr<Barrier> barrier) {
   blocks_.push_back({barrier.get(), 0, 0});
   kept_blocks_.push_back({barrier.get(), 0, 0});
   barriers_.push_back(std::move(barrier));
+}
+
+Poses Rows::poses() const {
+  Reads reads;
+  for (const SpeedRows& speed : speeds_) reads.add(speed.frame());
+  Poses all = reads.poses();
+  for (const auto& barrier : barriers_) barrier->read(now_, false, all);
+  return all;
+}
+
+Poses Rows::poses_ahead(const Kinematics& there) const {
+  Poses all;
+  for (const auto& barrier : barriers_) barrier->read(there, true, all);
+  return all;
 }
 
 void Rows::update(const double* lb, const double* ub, double dt) {

@@ -41,6 +41,12 @@ class Rows {
   void add(SpeedRows speed);
   void add(std::unique_ptr<Barrier> barrier);
 
+  /// Return the poses that speeds and barriers read in a step.
+  Poses poses() const;
+
+  /// Return those that barriers read where a command leads, at the kinematics there.
+  Poses poses_ahead(const Kinematics& there) const;
+
   /// Write the rows at the present kinematics for a step of dt inside a box lb, ub (n,).
   void update(const double* lb, const double* ub, double dt);
 

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "base/kernels.hpp"
 #include "base/lie.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -16,13 +16,11 @@ namespace {
 constexpr double inside = 1e-4;
 constexpr double no_direction = 1e-12;
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
-
 }  // namespace
 
 double SpeedBall::velocity(const double* v, double* moved) const {
   for (int i = 0; i < 3; ++i) moved[i] = dot(jacobian_.data() + i * n_, v, n_);
-  return std::sqrt(dot3(moved, moved));
+  return norm3(moved);
 }
 
 // Have the planes of these directions, and no others.
@@ -55,7 +53,7 @@ bool SpeedBall::cut(const double* v, const double* y, double* rows, double* uppe
 }
 
 bool SpeedBall::add(const double* direction, double* rows, double* upper) {
-  const double length = std::sqrt(dot3(direction, direction));
+  const double length = norm3(direction);
   if (!(length > no_direction) || used_ == planes) return false;
   for (int i = 0; i < 3; ++i) directions_[used_][i] = direction_[i] = direction[i] / length;
   double* row = rows + static_cast<long>(used_) * n_;

@@ -3,8 +3,8 @@
 
 #include <vector>
 
+#include "kinematics/frame.hpp"
 #include "kinematics/mujoco.hpp"
-#include "tasks/tasks.hpp"
 
 namespace rmrc {
 
@@ -46,6 +46,9 @@ class SpeedRows {
   /// (nv,) are the columns of the dofs, −1 where one stands still; `v_previous` is (nv,).
   SpeedRows(Frame frame, bool turned, double linear, double angular, const double* rate,
             const double* v_previous, const int* place, int n, const double* cdof);
+
+  /// The frame whose velocity is limited.
+  const Frame& frame() const { return frame_; }
 
   int count() const { return planes * static_cast<int>(balls_.size()); }
 

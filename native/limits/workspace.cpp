@@ -17,9 +17,9 @@ const double* position_of(const Kinematics& at, const Plane& plane) {
     case Anchor::geom:
       return at.geom_xpos + 3 * plane.id;
     case Anchor::body:
-      break;
+      return at.xpos + 3 * plane.id;
   }
-  return at.xpos + 3 * plane.id;
+  return nullptr;
 }
 
 // Write the axis of a rotation, and return its angle in [0, π].
@@ -40,6 +40,13 @@ Workspace::Workspace(std::vector<Plane> planes, double gain, double push, const 
       planes_(std::move(planes)),
       twist_(twist),
       nv_(nv) {}
+
+void Workspace::read(const Kinematics& at, bool, Poses& poses) const {
+  for (const Plane& plane : planes_) {
+    poses.push_back(position_of(at, plane));
+    poses.push_back(at.reference + 3 * plane.root);
+  }
+}
 
 void Workspace::near(const Kinematics& now, const double*, double, Near& near) {
   near.count = size();
@@ -82,6 +89,9 @@ double Workspace::reach(int id, const double* step, double dt) const {
 BallRange::BallRange(std::vector<Ball> balls, double gain, double push, int nv)
     : Barrier(static_cast<int>(balls.size()), gain, push), balls_(std::move(balls)), nv_(nv) {}
 
+// Of q alone.
+void BallRange::read(const Kinematics&, bool, Poses&) const {}
+
 void BallRange::near(const Kinematics& now, const double*, double, Near& near) {
   near.count = size();
   for (int k = 0; k < size(); ++k) {
@@ -103,11 +113,14 @@ double BallRange::distance(const Kinematics& at, int id) const {
 // No rotation adds more than its own angle to another.
 double BallRange::reach(int id, const double* step, double) const {
   const double* turn = step + balls_[id].dof;
-  return std::sqrt(dot3(turn, turn));
+  return norm3(turn);
 }
 
 TendonRange::TendonRange(std::vector<TendonEnd> ends, double gain, double push, int nv)
     : Barrier(static_cast<int>(ends.size()), gain, push), ends_(std::move(ends)), nv_(nv) {}
+
+// Of q alone.
+void TendonRange::read(const Kinematics&, bool, Poses&) const {}
 
 void TendonRange::near(const Kinematics& now, const double*, double, Near& near) {
   near.count = size();

@@ -27,6 +27,7 @@ class Workspace final : public Barrier {
   /// `twist` are the velocities of the mocap bodies (nmocap, 6).
   Workspace(std::vector<Plane> planes, double gain, double push, const double* twist, int nv);
 
+  void read(const Kinematics& at, bool ahead, Poses& poses) const override;
   void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
   double distance(const Kinematics& at, int id) const override;
   double reach(int id, const double* step, double dt) const override;
@@ -48,6 +49,7 @@ class BallRange final : public Barrier {
  public:
   BallRange(std::vector<Ball> balls, double gain, double push, int nv);
 
+  void read(const Kinematics& at, bool ahead, Poses& poses) const override;
   void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
   double distance(const Kinematics& at, int id) const override;
   double reach(int id, const double* step, double dt) const override;
@@ -69,6 +71,7 @@ class TendonRange final : public Barrier {
  public:
   TendonRange(std::vector<TendonEnd> ends, double gain, double push, int nv);
 
+  void read(const Kinematics& at, bool ahead, Poses& poses) const override;
   void near(const Kinematics& now, const double* travel, double dt, Near& near) override;
   double distance(const Kinematics& at, int id) const override;
   double reach(int id, const double* step, double dt) const override;

@@ -6,6 +6,7 @@
 
 #include <cstddef>
 
+#include "control/status.hpp"
 #include "python/bindings.hpp"
 #include "python/bound_stepper.hpp"
 #include "python/record.hpp"
@@ -16,9 +17,9 @@ namespace rmrc {
 
 namespace {
 
-constexpr unsigned invalid_input = 1u << 10;  // rmrc.control.status.Status.INVALID_INPUT
 // rmrc.control.controller.FAILED
-constexpr unsigned failed = (1u << 7) | (1u << 8) | (1u << 9) | (1u << 10);
+constexpr unsigned failed =
+    status::max_iter | status::deadline | status::stale | status::invalid_input;
 
 // Interned names of this process.
 struct Names {

@@ -5,9 +5,9 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <limits>
 #include <stdexcept>
 
+#include "base/numbers.hpp"
 #include "python/bindings.hpp"
 #include "solver/qp.hpp"
 
@@ -26,22 +26,6 @@ Result copied(const double* values, int n) {
   std::copy_n(values, n, data);
   const nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<double*>(p); });
   return Result(data, {static_cast<std::size_t>(n)}, owner);
-}
-
-const char* name(rmrc::Status status) {
-  switch (status) {
-    case rmrc::Status::solved:
-      return "solved";
-    case rmrc::Status::max_iter:
-      return "max_iter";
-    case rmrc::Status::time_limit:
-      return "time_limit";
-    case rmrc::Status::infeasible:
-      return "infeasible";
-    case rmrc::Status::failed:
-      return "failed";
-  }
-  return "";
 }
 
 rmrc::QPSolver make_solver(int size, int rows, int equalities, int max_iter) {
@@ -71,12 +55,12 @@ nb::tuple solve(rmrc::QPSolver& solver, const Matrix& H, const Vector& g, const 
                               ub.data(), C.data(),  lo.data(),
                               hi.data(), E.data(),  f.data(),
                               static_cast<int>(rows), static_cast<int>(equalities)};
-  const rmrc::Status status = solver.solve(program, rmrc::end_after(seconds));
+  const rmrc::SolveStatus status = solver.solve(program, rmrc::end_after(seconds));
   return nb::make_tuple(copied(solver.v(), solver.size()),
                         copied(solver.bound_multiplier(), solver.size()),
                         copied(solver.row_multiplier(), program.rows),
                         copied(solver.equality_multiplier(), program.equalities),
-                        solver.iterations(), name(status));
+                        solver.iterations(), rmrc::name_of(status));
 }
 
 // Whether this machine has the instructions that the solver is compiled to.
@@ -99,7 +83,7 @@ NB_MODULE(_native, m) {
            "Allocate for programs of `size` variables and up to so many rows and equalities.\n\n"
            "Raises ValueError for a size out of range.")
       .def("solve", &solve, "H"_a, "g"_a, "lb"_a, "ub"_a, "C"_a, "lo"_a, "hi"_a, "E"_a, "f"_a,
-           "seconds"_a = std::numeric_limits<double>::infinity(),
+           "seconds"_a = rmrc::infinity,
            "Return v, z, y, w, the changes of the active set, and the name of the status.\n\n"
            "The program is that of `rmrc.qp.program.QP`, the multipliers those of `Solution`.\n"
            "After so many seconds it is cut off.\n"

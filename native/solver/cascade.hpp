@@ -4,6 +4,7 @@
 #include <limits>
 #include <vector>
 
+#include "base/clock.hpp"
 #include "base/memory.hpp"
 #include "solver/certificate.hpp"
 #include "solver/null_space.hpp"
@@ -44,8 +45,8 @@ class Cascade {
   /// `infeasible`: no v was found inside the limits, and the residuals are infinite. `max_iter`: a
   /// level could not be solved; v is the feasible optimum of those above it. `time_limit`: either
   /// of the two.
-  Status solve(const std::vector<Level>& levels, const Program& limits,
-               QPSolver::Clock::time_point end);
+  SolveStatus solve(const std::vector<Level>& levels, const Program& limits,
+               Clock::time_point end);
 
   /// Start the next solve cold.
   void forget();
@@ -79,16 +80,18 @@ class Cascade {
   double scale() const { return scale_; }
 
  private:
-  Status enter();
-  Status descend(const std::vector<Level>& levels);
-  Status fastest(const Level& level, QPSolver& solver);
-  Status nearest(const Level& level, QPSolver& solver);
+  static constexpr double rank_share = 1e-9;  // rmrc.qp.cascade.RANK
+
+  SolveStatus enter();
+  SolveStatus descend(const std::vector<Level>& levels);
+  SolveStatus fastest(const Level& level, QPSolver& solver);
+  SolveStatus nearest(const Level& level, QPSolver& solver);
   void weigh(const Level& level, const double* x, int column);
   void bound(int variables);
-  Status attempt(QPSolver& solver, const Program& program, int variables, bool refusable);
-  Status certified(QPSolver& solver, int variables, int equalities, double share = 1.0);
+  SolveStatus attempt(QPSolver& solver, const Program& program, int variables, bool refusable);
+  SolveStatus certified(QPSolver& solver, int variables, int equalities, double share = 1.0);
   void advance();
-  Status keep_free(const double* rows, int count, int stride);
+  SolveStatus keep_free(const double* rows, int count, int stride);
 
   void reduce(const double* x, double* out) const;
   double passed() const;
@@ -99,7 +102,7 @@ class Cascade {
   NullSpace null_space_;
   RowReduction reduction_, ranked_;
   const Program* limits_ = nullptr;
-  QPSolver::Clock::time_point end_;
+  Clock::time_point end_;
 
   std::vector<double> v_, z_, y_;
   int free_count_ = 0;

@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "base/kernels.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -59,7 +59,6 @@ Residuals certify(int n, const Program& program, const double* z, const double* 
   }
   const double dual = dot(residual, residual, n) + slack.stray;
   if (!std::isfinite(primal + dual + slack.sum)) {
-    constexpr double infinity = std::numeric_limits<double>::infinity();
     return {infinity, infinity, infinity};
   }
   return {std::sqrt(primal), std::sqrt(dual), slack.sum};

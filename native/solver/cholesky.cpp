@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <type_traits>
 
 #include "base/kernels.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
@@ -37,7 +37,7 @@ Cholesky::Cholesky(int capacity)
       work_(capacity) {}
 
 double Cholesky::inverse_root(double pivot, double diagonal) const {
-  const double smallest = 4.0 * std::numeric_limits<double>::epsilon() * diagonal;
+  const double smallest = 4.0 * epsilon * diagonal;
   return 1.0 / std::sqrt(std::max(pivot, smallest));
 }
 

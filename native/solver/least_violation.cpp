@@ -42,7 +42,7 @@ LeastViolation::LeastViolation(int size, int max_rows, int max_equalities)
       hi_(max_rows) {}
 
 bool LeastViolation::find(const Program& limits, const double* brake,
-                          QPSolver::Clock::time_point end) {
+                          Clock::time_point end) {
   limits_ = limits;
   std::copy_n(brake, size_, v_.begin());
   follow(brake, at_, missed_);
@@ -57,13 +57,13 @@ bool LeastViolation::find(const Program& limits, const double* brake,
     if (!std::isfinite(before)) return false;
     if (before == 0.0) return true;
     assemble();
-    Status status = Status::failed;
+    SolveStatus status = SolveStatus::failed;
     for (const double rest : rests) {
       status = solve(rest, end);
-      if (status == Status::solved || status == Status::time_limit) break;
+      if (status == SolveStatus::solved || status == SolveStatus::time_limit) break;
     }
-    if (status == Status::time_limit) return false;
-    if (status != Status::solved) return true;  // v is no worse than the brake
+    if (status == SolveStatus::time_limit) return false;
+    if (status != SolveStatus::solved) return true;  // v is no worse than the brake
     std::copy_n(solver_.v(), size_, step_.begin());
     follow(step_.data(), change_, changed_);
     const double gain = -dot(g_.data(), step_.data(), size_);
@@ -137,10 +137,10 @@ void LeastViolation::assemble() {
 }
 
 // Find the best step on that piece; a small weight keeps from it what gains nothing.
-Status LeastViolation::solve(double rest, QPSolver::Clock::time_point end) {
+SolveStatus LeastViolation::solve(double rest, Clock::time_point end) {
   double largest = 0.0;
   for (int i = 0; i < size_; ++i) largest = std::max(largest, H_[i * size_ + i]);
-  if (is_over(end)) return Status::time_limit;
+  if (is_over(end)) return SolveStatus::time_limit;
   for (int i = 0; i < size_; ++i) H_[i * size_ + i] += rest * largest;
   const Program program{H_.data(), g_.data(), lb_.data(), ub_.data(),     limits_.C,  lo_.data(),
                         hi_.data(), nullptr,  nullptr,    limits_.rows, 0,           limits_.keys};

@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "base/clock.hpp"
 #include "solver/qp.hpp"
 
 namespace rmrc {
@@ -22,7 +23,7 @@ class LeastViolation {
   /// Find it for the limits of a program, whose cost is not read, before the clock says `end`.
   ///
   /// Return false if the time is over, or a number is not finite.
-  bool find(const Program& limits, const double* brake, QPSolver::Clock::time_point end);
+  bool find(const Program& limits, const double* brake, Clock::time_point end);
 
   /// v (n,) of the last call.
   const double* v() const { return v_.data(); }
@@ -36,7 +37,7 @@ class LeastViolation {
  private:
   double excess(int r, double activity) const;
   void assemble();
-  Status solve(double rest, QPSolver::Clock::time_point end);
+  SolveStatus solve(double rest, Clock::time_point end);
   double slope(double share) const;
   double search() const;
   bool agrees() const;

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "base/kernels.hpp"
+#include "base/numbers.hpp"
 #include "solver/qp_limits.hpp"
 
 namespace rmrc {
@@ -19,9 +20,6 @@ constexpr int looks = 6;
 // Changes of the working set in one look, for each variable, and for each row. More go in circles,
 // which a larger tolerance breaks.
 constexpr int changes_by_variable = 6;
-// Residual of the working set's equations, relative to their terms, that needs no refinement.
-constexpr double resolution = 16.0 * std::numeric_limits<double>::epsilon();
-constexpr int refinements = 5;
 
 // Whether a multiplier is smaller than −least on the side that its limit acts on.
 bool points_back(Side side, double multiplier, double least = 0.0) {
@@ -29,12 +27,6 @@ bool points_back(Side side, double multiplier, double least = 0.0) {
 }
 
 bool all_finite(const double* x, int n) { return std::isfinite(dot(x, x, n)); }
-
-double largest(const double* x, int n) {
-  double found = 0.0;
-  for (int i = 0; i < n; ++i) found = std::max(found, std::abs(x[i]));
-  return found;
-}
 
 // The side on which a limit of the last working set can still be held.
 Side still(Side side, double lower, double upper) {
@@ -96,23 +88,23 @@ void QPSolver::keep(Memory& memory) {
   memory.some(keys_.data(), key_count_, keys_.size());
 }
 
-Status QPSolver::solve(const Program& program, Clock::time_point end) {
+SolveStatus QPSolver::solve(const Program& program, Clock::time_point end) {
   program_ = &program;
   end_ = end;
   iterations_ = 0;
   find_rows_again();
-  Status status = Status::failed;
+  SolveStatus status = SolveStatus::failed;
   if (finite()) {
-    status = read_limits() ? run() : Status::infeasible;
-    if (status != Status::solved && status != Status::time_limit && warm_) {
+    status = read_limits() ? run() : SolveStatus::infeasible;
+    if (status != SolveStatus::solved && status != SolveStatus::time_limit && warm_) {
       // What rounding did on the way from an old working set says nothing about the program.
       forget();
       if (read_limits()) status = run();
     }
   }
-  warm_ = status == Status::solved || status == Status::time_limit;
+  warm_ = status == SolveStatus::solved || status == SolveStatus::time_limit;
   if (!warm_) forget();
-  solved_ = status == Status::solved;
+  solved_ = status == SolveStatus::solved;
   if (!solved_) rest();
   return status;
 }
@@ -168,38 +160,38 @@ bool QPSolver::read_limits() {
   return ordered;
 }
 
-Status QPSolver::run() {
+SolveStatus QPSolver::run() {
   factorize();
   settle(true);
   double tolerance = first_tolerance;
-  if (!release_pushed_back(tolerance)) return Status::time_limit;
+  if (!release_pushed_back(tolerance)) return SolveStatus::time_limit;
   bool settled = true;  // whether v solves the working set's equations, but for rounding
   for (int look = 0; look < looks; ++look, tolerance *= 10.0) {
     bool changed = false;
     const int most = iterations_ + changes_by_variable * size_ + rows_;
     for (Limit limit; iterations_ < most && most_violated(tolerance, limit); changed = true) {
-      const Status status = enforce(limit);
-      if (status == Status::solved) {
+      const SolveStatus status = enforce(limit);
+      if (status == SolveStatus::solved) {
         settled = false;
-      } else if (settled || status == Status::max_iter || status == Status::time_limit) {
+      } else if (settled || status == SolveStatus::max_iter || status == SolveStatus::time_limit) {
         return status;
       } else {
         // What the steps before have added up to is no proof of a contradiction.
         settle(false);
-        if (!release_pushed_back(tolerance)) return Status::time_limit;
+        if (!release_pushed_back(tolerance)) return SolveStatus::time_limit;
         settled = true;
       }
     }
     if (!changed) return finish();
     settle(false);
-    if (!release_pushed_back(tolerance)) return Status::time_limit;
+    if (!release_pushed_back(tolerance)) return SolveStatus::time_limit;
     settled = true;
   }
-  return Status::max_iter;
+  return SolveStatus::max_iter;
 }
 
 // Spread the multipliers of the working set over all limits; a sign wrong by a hair becomes 0.
-Status QPSolver::finish() {
+SolveStatus QPSolver::finish() {
   for (int k = 0; k < free_count_; ++k) z_[free_[k]] = 0.0;
   for (int k = 0; k < held_count_; ++k) {
     double& value = z_[held_[k]];
@@ -211,131 +203,7 @@ Status QPSolver::finish() {
   }
   const bool sound = all_finite(v_.data(), size_) && all_finite(z_.data(), size_) &&
                      all_finite(y_.data(), active_count_);
-  return sound ? Status::solved : Status::failed;
-}
-
-// Factorize at the sides as they are: equalities first, so that of rows that depend on
-// each other it is those that stay. What finds no place is checked as any other limit.
-void QPSolver::factorize() {
-  free_count_ = held_count_ = active_count_ = 0;
-  for (int i = 0; i < size_; ++i) {
-    if (held(bound_side_[i])) {
-      held_[held_count_++] = i;
-    } else {
-      free_[free_count_++] = i;
-    }
-  }
-  factor_.factorize(program_->H, size_, free_.data(), free_count_);
-  for (const bool equality : {true, false}) {
-    for (int r = 0; r < rows_ + equalities_; ++r) {
-      if (!held(row_side_[r]) || equality != (row_side_[r] == Side::both)) continue;
-      if (active_count_ == free_count_) {
-        row_side_[r] = Side::none;
-        continue;
-      }
-      y_[active_count_] = 0.0;
-      active_[active_count_++] = r;
-    }
-  }
-  rebuild_basis();
-}
-
-// Bring the rows held into the basis anew, without those that depend on the ones before.
-void QPSolver::rebuild_basis() {
-  basis_.clear(free_count_);
-  int kept = 0;
-  for (int t = 0; t < active_count_; ++t) {
-    reduce(row(active_[t]), 1.0);
-    if (!basis_.project(reduced_.data(), coefficients_.data())) {
-      row_side_[active_[t]] = Side::none;
-      continue;
-    }
-    basis_.append(reduced_.data(), coefficients_.data(), 1.0);
-    active_[kept] = active_[t];
-    y_[kept++] = y_[t];
-  }
-  active_count_ = kept;
-}
-
-// Write L⁻¹(scale · a) on the free variables, or 0 where a is nothing but rounding there.
-void QPSolver::reduce(const double* a, double scale) {
-  for (int k = 0; k < free_count_; ++k) reduced_[k] = scale * a[free_[k]];
-  const double left = dot(reduced_.data(), reduced_.data(), free_count_);
-  if (left <= least_rate * least_rate * dot(a, a, size_)) {
-    std::fill_n(reduced_.begin(), free_count_, 0.0);
-  } else {
-    factor_.forward(reduced_.data());
-  }
-}
-
-// Solve the equations of the working set,
-//     H v + g + Kᵀy = 0 on the free variables,  v = its limit on the others,  K v = d,
-// from rest or from v and y as they are. Solving is refining: the same step from anywhere.
-void QPSolver::settle(bool from_rest) {
-  for (int k = 0; k < held_count_; ++k) v_[held_[k]] = bound_at(held_[k]);
-  if (from_rest) {
-    for (int k = 0; k < free_count_; ++k) v_[free_[k]] = 0.0;
-    std::fill_n(y_.begin(), active_count_, 0.0);
-    gradient_ = std::numeric_limits<double>::min();
-    steepest_ = 0.0;
-    for (int i = 0; i < size_; ++i) {
-      gradient_ = std::max(gradient_, std::abs(program_->g[i]));
-      steepest_ = std::max(steepest_, program_->H[i * size_ + i]);
-    }
-  }
-  double before = infinity;
-  for (int k = 0; k <= refinements; ++k) {
-    const double size = residuals();
-    if (size <= resolution || size > 0.5 * before || k == refinements) break;
-    before = size;
-    correct();
-  }
-  for (int k = 0; k < held_count_; ++k) z_[held_[k]] = -residual_[held_[k]];
-}
-
-// Write the residuals of the working set's equations and return the largest, relative.
-double QPSolver::residuals() {
-  const Program& p = *program_;
-  double* residual = residual_.data();
-  std::copy_n(p.g, size_, residual);
-  int j = 0;
-  for (; j + 4 <= size_; j += 4) {
-    const double* four = v_.data() + j;
-    const bool any = four[0] != 0.0 || four[1] != 0.0 || four[2] != 0.0 || four[3] != 0.0;
-    if (any) add_four_scaled(four, p.H + j * size_, size_, residual, size_);
-  }
-  for (; j < size_; ++j) {
-    if (v_[j] != 0.0) add_scaled(v_[j], p.H + j * size_, residual, size_);
-  }
-  double misfit = 0.0;
-  for (int t = 0; t < active_count_; ++t) {
-    const double* a = row(active_[t]);
-    if (y_[t] != 0.0) add_scaled(y_[t], a, residual, size_);
-    const double level = row_at(active_[t]);
-    misfit_[t] = level - dot(a, v_.data(), size_);
-    misfit = std::max(misfit, std::abs(misfit_[t]) / std::max(1.0, std::abs(level)));
-  }
-  scale_ = std::max(gradient_, steepest_ * largest(v_.data(), size_));
-  double size = 0.0;
-  for (int k = 0; k < free_count_; ++k) size = std::max(size, std::abs(residual[free_[k]]));
-  return std::max(size / scale_, misfit);
-}
-
-// One step on the residuals. With x = Lᵀdv and the rows' own QR, L⁻¹Kᵀ = Q R:
-//     x + Q R dy = −L⁻¹r,  Rᵀ Qᵀx = misfit.
-void QPSolver::correct() {
-  for (int k = 0; k < free_count_; ++k) reduced_[k] = -residual_[free_[k]];
-  factor_.forward(reduced_.data());
-  if (active_count_ > 0) {
-    basis_.multiply_transposed(reduced_.data(), dy_.data());
-    basis_.solve_transposed(misfit_.data());
-    for (int t = 0; t < active_count_; ++t) dy_[t] -= misfit_[t];
-    basis_.subtract(dy_.data(), reduced_.data());
-    basis_.solve(dy_.data());
-    for (int t = 0; t < active_count_; ++t) y_[t] += dy_[t];
-  }
-  factor_.backward(reduced_.data());
-  for (int k = 0; k < free_count_; ++k) v_[free_[k]] += reduced_[k];
+  return sound ? SolveStatus::solved : SolveStatus::failed;
 }
 
 // Release every limit whose multiplier has the wrong sign, for it holds v back from the optimum,

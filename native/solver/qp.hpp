@@ -1,14 +1,14 @@
 // The quadratic program of a step, and a dual active-set solver for it.
 #pragma once
 
-#include <algorithm>
-#include <chrono>
 #include <cstdint>
 #include <vector>
 
+#include "base/clock.hpp"
 #include "base/memory.hpp"
 #include "solver/cholesky.hpp"
 #include "solver/row_basis.hpp"
+#include "solver/status.hpp"
 
 namespace rmrc {
 
@@ -33,24 +33,6 @@ struct Program {
   const std::int64_t* keys = nullptr;
 };
 
-/// When so many seconds from now are over; the end of all time if they are infinite.
-inline std::chrono::steady_clock::time_point end_after(double seconds) {
-  using Clock = std::chrono::steady_clock;
-  constexpr double longest = 1e6;  // s: what may take longer has no end
-  if (!(seconds < longest)) return Clock::time_point::max();
-  const std::chrono::duration<double> left(std::max(seconds, 0.0));
-  return Clock::now() + std::chrono::duration_cast<Clock::duration>(left);
-}
-
-/// Whether the clock says that it is over, which is not looked at where there is no end.
-inline bool is_over(std::chrono::steady_clock::time_point end) {
-  using Clock = std::chrono::steady_clock;
-  return end != Clock::time_point::max() && Clock::now() >= end;
-}
-
-/// How a solve ended: as in rmrc.qp.program.SolveStatus.
-enum class Status { solved, max_iter, time_limit, infeasible, failed };
-
 /// At which of its limits a bound or a row is held.
 enum class Side : std::int8_t {
   lower = -1,
@@ -70,13 +52,11 @@ class QPSolver {
   /// Allocate for programs of `size` variables, up to `max_rows` rows and `max_equalities`.
   QPSolver(int size, int max_rows, int max_equalities, int max_iterations);
 
-  using Clock = std::chrono::steady_clock;
-
   /// Solve a program, whose arrays must hold for as long as the call, before the clock says `end`.
   ///
   /// After any answer but `solved`, v and the multipliers are 0. The next solve then starts cold,
   /// but for one that had no time: it goes on from where this one got to.
-  Status solve(const Program& program, Clock::time_point end = Clock::time_point::max());
+  SolveStatus solve(const Program& program, Clock::time_point end = Clock::time_point::max());
 
   /// Go on with programs of another size, up to that of the constructor; the next solve is cold.
   void resize(int size);
@@ -124,8 +104,8 @@ class QPSolver {
   bool finite() const;
   void find_rows_again();
   bool read_limits();
-  Status run();
-  Status finish();
+  SolveStatus run();
+  SolveStatus finish();
   void factorize();
   void rebuild_basis();
   void reduce(const double* a, double scale);
@@ -136,7 +116,7 @@ class QPSolver {
 
   bool release_pushed_back(double tolerance);
   bool most_violated(double tolerance, Limit& found) const;
-  Status enforce(const Limit& limit);
+  SolveStatus enforce(const Limit& limit);
   bool find_direction(const Limit& limit);
   bool contradicted(const Limit& limit) const;
   Block first_block() const;

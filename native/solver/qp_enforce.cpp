@@ -20,24 +20,24 @@ constexpr double farthest = 1e9;
 
 // Raise the multiplier of a violated limit from 0 until the limit is met, releasing on the way
 // those whose own multipliers come down to 0. The dual objective grows with every step.
-Status QPSolver::enforce(const Limit& limit) {
+SolveStatus QPSolver::enforce(const Limit& limit) {
   double multiplier = 0.0;
   while (iterations_ < max_iterations_) {
-    if (is_over(end_)) return Status::time_limit;  // quickly looked at, beside what follows
+    if (is_over(end_)) return SolveStatus::time_limit;  // quickly looked at, beside what follows
     const bool independent = find_direction(limit);
     const double passed = violation(limit), excess = std::max(0.0, passed);
     const double whole = independent ? excess / curvature_ : infinity;
     // Beyond the range of a double a way has no length: H is not positive definite, or as good as
     // not. What follows compares, and a NaN is neither more nor less than anything.
-    if (!std::isfinite(passed) || (independent && !std::isfinite(whole))) return Status::failed;
+    if (!std::isfinite(passed) || (independent && !std::isfinite(whole))) return SolveStatus::failed;
     const Block block = first_block();
     const double step = std::min(whole, block.step);
     if (step == infinity) {
       if (excess > relative(implied_tolerance, level(limit))) {
-        return contradicted(limit) ? Status::infeasible : Status::failed;
+        return contradicted(limit) ? SolveStatus::infeasible : SolveStatus::failed;
       }
       (limit.is_bound ? bound_side_ : row_side_)[limit.index] = Side::implied;
-      return Status::solved;
+      return SolveStatus::solved;
     }
     if (independent) {
       for (int k = 0; k < free_count_; ++k) v_[free_[k]] += step * dv_[free_[k]];
@@ -52,7 +52,7 @@ Status QPSolver::enforce(const Limit& limit) {
       } else {
         hold_row(limit, multiplier);
       }
-      return Status::solved;
+      return SolveStatus::solved;
     }
     if (block.is_bound) {
       release_bound(block.position);
@@ -61,7 +61,7 @@ Status QPSolver::enforce(const Limit& limit) {
     }
     rebuild_basis();
   }
-  return Status::max_iter;
+  return SolveStatus::max_iter;
 }
 
 // Write what v, z and y change by for each unit of the limit's multiplier, in the direction that

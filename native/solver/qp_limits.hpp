@@ -3,13 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
+#include "base/numbers.hpp"
 #include "solver/qp.hpp"
 
 namespace rmrc {
-
-inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
 // A limit that the working set implies, but for this share, does not contradict it.
 inline constexpr double implied_tolerance = 1e-9;

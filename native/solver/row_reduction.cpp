@@ -2,16 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "base/kernels.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
 namespace {
 
 constexpr int sweeps = 30;
-constexpr double epsilon = std::numeric_limits<double>::epsilon();
 // Largest cosine of two rows that are orthogonal but for rounding.
 constexpr double orthogonal = 4.0 * epsilon;
 

@@ -2,15 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
+
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
 namespace {
 
 // σ² is found to this, relative to ε²; λ_a² is linear in it.
-constexpr double resolution = 4.0 * std::numeric_limits<double>::epsilon();
+constexpr double resolution = 4.0 * epsilon;
 // The bound of a reference need not be close: relative to ε².
 constexpr double bound_resolution = 0.05;
 // What rounding can do to a singular value, relative to the norm of W, and more.
@@ -32,9 +33,19 @@ Damping::Damping(DampingRule rule, std::vector<TaskedRow> rows, int size)
 
 double Damping::square(const std::vector<std::unique_ptr<RowTerm>>& terms, const double* error) {
   const double most = rule_.largest * rule_.largest;
-  if (rule_.adapt == Adapt::error) return std::min(0.5 * error_square(terms, error), most);
-  gather(terms);
-  return most * (rule_.adapt == Adapt::sigma_min ? by_sigma_min() : by_manipulability());
+  switch (rule_.adapt) {
+    case Adapt::off:
+      return 0.0;
+    case Adapt::error:
+      return std::min(0.5 * error_square(terms, error), most);
+    case Adapt::sigma_min:
+      gather(terms);
+      return most * by_sigma_min();
+    case Adapt::manipulability:
+      gather(terms);
+      return most * by_manipulability();
+  }
+  return 0.0;
 }
 
 // W, whose elements in the columns that move no row stay 0.

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "solver/singular_values.hpp"
-#include "tasks/tasks.hpp"
+#include "tasks/row_term.hpp"
 
 namespace rmrc {
 

@@ -6,6 +6,7 @@
 
 #include "base/kernels.hpp"
 #include "base/lie.hpp"
+#include "solver/tolerances.hpp"
 #include "tasks/pointing.hpp"
 
 namespace rmrc {
@@ -13,7 +14,6 @@ namespace rmrc {
 namespace {
 
 constexpr double rank_share = 1e-6;    // rmrc.qp.equalities.RANK
-constexpr double disagreement = 1e-6;  // rmrc.qp.relax.INCONSISTENT
 
 int directions_of(const HardTerm& term) {
   return term.rows > 0 ? static_cast<int>(term.directions.size()) / term.rows : 0;
@@ -62,7 +62,7 @@ void Equalities::update(bool without_bending, const double* lower) {
   // ‖(I − U_r U_rᵀ) ẋ‖ is the length of what U turns ẋ to in the rows left out.
   double missed = 0.0;
   for (int r = count_; r < rows; ++r) missed += reduction_.row(r)[n] * reduction_.row(r)[n];
-  inconsistent_ = std::sqrt(missed) > disagreement;
+  inconsistent_ = std::sqrt(missed) > inconsistency;
 }
 
 // The rows of E are orthogonal.

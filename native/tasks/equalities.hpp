@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "solver/row_reduction.hpp"
-#include "tasks/tasks.hpp"
+#include "tasks/row_term.hpp"
 
 namespace rmrc {
 

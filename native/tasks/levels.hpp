@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "solver/cascade.hpp"
-#include "tasks/tasks.hpp"
+#include "tasks/row_term.hpp"
 
 namespace rmrc {
 

@@ -11,22 +11,17 @@ namespace rmrc {
 
 namespace {
 
-std::vector<int> dofs_of(const std::vector<BodyPair>& pairs,
-                         const std::vector<Polynomial>& polynomials) {
-  std::vector<int> dofs;
+Reads reads_of(const std::vector<BodyPair>& pairs, const std::vector<Polynomial>& polynomials) {
+  Reads reads;
   for (const BodyPair& pair : pairs) {
-    for (const Anchorage& end : pair.ends) {
-      dofs.insert(dofs.end(), end.frame.dofs.begin(), end.frame.dofs.end());
-    }
+    for (const Anchorage& end : pair.ends) reads.add(end.frame).add(end.quaternion);
   }
   for (const Polynomial& polynomial : polynomials) {
     for (const Combination* side : {&polynomial.y, &polynomial.x}) {
-      for (const Combination::Part& part : side->parts) dofs.push_back(part.dof);
+      for (const Combination::Part& part : side->parts) reads.add(part.dof);
     }
   }
-  std::sort(dofs.begin(), dofs.end());
-  dofs.erase(std::unique(dofs.begin(), dofs.end()), dofs.end());
-  return dofs;
+  return reads;
 }
 
 bool contains(const std::vector<int>& dofs, int dof) {
@@ -54,15 +49,12 @@ double value_of(const Combination& combination, const double* q) {
 Loop::Loop(TermData data, std::vector<double> root, std::vector<BodyPair> pairs,
            std::vector<Polynomial> polynomials, std::vector<double> scale,
            std::vector<char> angular, const MuJoCo& mujoco, const Stack& stack)
-    : RowTerm(std::move(data), std::move(root), dofs_of(pairs, polynomials), mujoco, stack),
+    : RowTerm(std::move(data), std::move(root), reads_of(pairs, polynomials), mujoco, stack),
       pairs_(std::move(pairs)),
       polynomials_(std::move(polynomials)),
       scale_(std::move(scale)),
       angular_(std::move(angular)),
       column_(mujoco.nv) {
-  for (const BodyPair& pair : pairs_) {
-    for (const Anchorage& end : pair.ends) stand_on(end.frame);
-  }
   for (std::size_t k = 0; k < dofs_.size(); ++k) column_[dofs_[k]] = static_cast<int>(k);
   for (const BodyPair& pair : pairs_) {
     for (const int dof : dofs_) {
@@ -77,7 +69,7 @@ void Loop::measure(double* measures) const {
   double squares[2] = {0.0, 0.0};
   for (int r = 0; r < data_.rows; ++r) {
     const double value = scale_[r] * error()[r];
-    squares[angular_[r]] += value * value;
+    squares[angular_[r] ? 1 : 0] += value * value;
   }
   for (int k = 0; k < 2; ++k) measures[k] = std::sqrt(squares[k]);
 }

@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include "tasks/tasks.hpp"
+#include "tasks/row_term.hpp"
 
 namespace rmrc {
 

@@ -20,7 +20,7 @@ constexpr double sideways[2] = {0.5403023058681398, 0.8414709848078965};
 void find_way(const double* axis, const double* direction, double* out) noexcept {
   const double along = dot3(direction, axis);
   for (int i = 0; i < 3; ++i) out[i] = axis[i] - direction[i] * along;
-  const double sine = std::sqrt(dot3(out, out));
+  const double sine = norm3(out);
   if (sine > antipode) {
     for (int i = 0; i < 3; ++i) out[i] /= sine;
     return;
@@ -30,7 +30,7 @@ void find_way(const double* axis, const double* direction, double* out) noexcept
       axis);
   double first[3], second[3];
   for (int i = 0; i < 3; ++i) first[i] = (i == least) - direction[i] * direction[least];
-  const double length = std::sqrt(dot3(first, first));
+  const double length = norm3(first);
   for (double& value : first) value /= length;
   cross(direction, first, second);
   for (int i = 0; i < 3; ++i) out[i] = sideways[0] * first[i] + sideways[1] * second[i];
@@ -45,7 +45,7 @@ double pointing_angle(double length) noexcept {
 
 Stretch::Stretch(const double* axis, const double* chord) noexcept {
   for (int i = 0; i < 3; ++i) direction_[i] = axis[i] + chord[i];
-  const double length = std::sqrt(dot3(chord, chord));
+  const double length = norm3(chord);
   trivial_ = !(length > right);
   if (trivial_) return;
   double sum[3];
@@ -53,14 +53,14 @@ Stretch::Stretch(const double* axis, const double* chord) noexcept {
     along_[i] = chord[i] / length;
     sum[i] = direction_[i] + axis[i];
   }
-  half_ = std::atan2(length, std::sqrt(dot3(sum, sum)));
+  half_ = std::atan2(length, norm3(sum));
   factor_ = (right + slope * (2.0 * half_ - 0.5 * std::numbers::pi)) / length;
   slope_ = slope - factor_ * std::cos(half_);
   find_way(axis, direction_, toward_);
 }
 
 Stretch Stretch::of_error(const double* axis, const double* error) noexcept {
-  const double length = std::sqrt(dot3(error, error));
+  const double length = norm3(error);
   const double share =
       length <= right ? 1.0 : 2.0 * std::sin(0.5 * pointing_angle(length)) / length;
   const double chord[3] = {share * error[0], share * error[1], share * error[2]};

@@ -1,28 +1,24 @@
+#include "tasks/row_term.hpp"
+
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <stdexcept>
 #include <utility>
 
 #include "base/kernels.hpp"
 #include "base/lie.hpp"
-#include "tasks/tasks.hpp"
+#include "base/numbers.hpp"
 
 namespace rmrc {
 
-void velocity_at(const double* twist, const double* origin, const double* point, double* out) {
-  double arm[3];
-  for (int i = 0; i < 3; ++i) arm[i] = point[i] - origin[i];
-  cross(twist + 3, arm, out);
-  for (int i = 0; i < 3; ++i) out[i] += twist[i];
-}
-
-RowTerm::RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs,
-                 const MuJoCo& mujoco, const Stack& stack)
+RowTerm::RowTerm(TermData data, std::vector<double> root, Reads reads, const MuJoCo& mujoco,
+                 const Stack& stack)
     : data_(std::move(data)),
       mujoco_(mujoco),
       stack_(stack),
-      dofs_(std::move(dofs)),
+      dofs_(reads.dofs()),
+      carried_(reads.carried()),
+      poses_(reads.poses()),
       root_(std::move(root)),
       counts_(std::any_of(root_.begin(), root_.end(), [](double value) { return value != 0.0; })) {
   std::stable_partition(dofs_.begin(), dofs_.end(), [&](int dof) { return stack.place[dof] >= 0; });
@@ -294,8 +290,8 @@ double RowTerm::bent(const double* x, const double* u) {
     }
     total -= rate * dot3(own_moment, turning);
   }
-  if (distance_ < std::numeric_limits<double>::infinity()) {
-    total += std::sqrt(dot3(wrench, wrench)) / distance_ * dot3(along, along);
+  if (distance_ < infinity) {
+    total += norm3(wrench) / distance_ * dot3(along, along);
   }
   return total;
 }
@@ -322,14 +318,14 @@ void RowTerm::add_curvature(const double* rate, double dt, double least, double*
     WayPoint& point = way_[k];
     double u[3];
     moment(point, wrench, u);
-    const double length = std::sqrt(dot3(u, u));
+    const double length = norm3(u);
     point.after += length * point.unit;
     double& sum = X[columns_[point.column]];
     sum += point.hinges * length / point.unit;
     if (point.turns) sum += point.after;
     if (point.before >= 0) way_[point.before].after += point.after;
   }
-  if (distance_ < std::numeric_limits<double>::infinity()) add_turning(wrench, X);
+  if (distance_ < infinity) add_turning(wrench, X);
 }
 
 // ‖v_i‖ ‖v_j‖ ‖f‖/n of a force that turns about a point n away as the frame moves.
@@ -344,7 +340,7 @@ void RowTerm::add_turning(const double* force, double* X) {
   };
   double sum = 0.0;
   for (const WayPoint& point : way_) sum += lever(point.column);
-  const double bend = std::sqrt(dot3(force, force)) / distance_ * sum;
+  const double bend = norm3(force) / distance_ * sum;
   for (const WayPoint& point : way_) X[columns_[point.column]] += bend * lever(point.column);
 }
 

@@ -110,8 +110,8 @@ void test_levels(bool preserved) {
     const std::vector<rmrc::Level> levels = problem.levels(preserved);
     const rmrc::Program limits = problem.limits();
     const long before = allocations;
-    const bool found = cascade.solve(levels, limits, rmrc::QPSolver::Clock::time_point::max()) ==
-                       rmrc::Status::solved;
+    const bool found = cascade.solve(levels, limits, rmrc::Clock::time_point::max()) ==
+                       rmrc::SolveStatus::solved;
     expect(allocations == before, "called for memory", k);
     if (!found) continue;
     ++solved;
@@ -139,7 +139,7 @@ void test_levels(bool preserved) {
     rmrc::Program whole = limits;
     whole.H = H.data();
     whole.g = g.data();
-    if (alone.solve(whole) != rmrc::Status::solved) continue;
+    if (alone.solve(whole) != rmrc::SolveStatus::solved) continue;
     const double least = missed(problem.first, problem.wanted, alone.v());
     expect(missed(problem.first, problem.wanted, v) <= least + 1e-7, "a level gives way", k);
   }

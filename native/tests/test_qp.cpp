@@ -131,19 +131,19 @@ void check_sizes(int n, int rows, int equalities, std::mt19937_64& random) {
     fill(p, random, k % 4 == 3);
     const rmrc::Program program = p.program();
     const long before = allocations;
-    const rmrc::Status status = solver.solve(program);  // warm, from an unrelated program
-    const rmrc::Status again = solver.solve(program);
+    const rmrc::SolveStatus status = solver.solve(program);  // warm, from an unrelated program
+    const rmrc::SolveStatus again = solver.solve(program);
     expect(allocations == before, "a solve has called for memory", n, rows, k);
-    expect(status == rmrc::Status::solved && again == status, "not solved", n, rows, k);
+    expect(status == rmrc::SolveStatus::solved && again == status, "not solved", n, rows, k);
     expect(residual(p, solver) <= kkt_tolerance, "not optimal", n, rows, k);
     // A program that cannot be solved, and the next solve after it.
     std::swap(p.lb[0], p.ub[0]);
     p.ub[0] -= 1.0;
-    expect(solver.solve(program) == rmrc::Status::infeasible, "not infeasible", n, rows, k);
+    expect(solver.solve(program) == rmrc::SolveStatus::infeasible, "not infeasible", n, rows, k);
     std::swap(p.lb[0], p.ub[0]);
     p.lb[0] += 1.0;
     p.g[0] = std::numeric_limits<double>::quiet_NaN();
-    expect(solver.solve(program) == rmrc::Status::failed, "a NaN is solved", n, rows, k);
+    expect(solver.solve(program) == rmrc::SolveStatus::failed, "a NaN is solved", n, rows, k);
   }
 }
 
@@ -191,7 +191,7 @@ void check_relaxed(int n, int rows, int equalities, std::mt19937_64& random) {
     }
     const long before = allocations;
     const bool found =
-        least.find(p.program(), brake.data(), rmrc::QPSolver::Clock::time_point::max());
+        least.find(p.program(), brake.data(), rmrc::Clock::time_point::max());
     expect(found, "the least violation is not found", n, rows, k);
     least.relax(lower.data(), upper.data(), right.data());
     expect(allocations == before, "the least violation has called for memory", n, rows, k);
@@ -212,7 +212,7 @@ void check_relaxed(int n, int rows, int equalities, std::mt19937_64& random) {
       const Violation there = violation(p, other, brake);
       expect(there.beyond > 0.0 || there.least >= best.least - rounding, "not the least", n, rows, k);
     }
-    expect(!least.find(p.program(), brake.data(), rmrc::QPSolver::Clock::time_point::min()) ||
+    expect(!least.find(p.program(), brake.data(), rmrc::Clock::time_point::min()) ||
                best.least == 0.0,
            "found without time", n, rows, k);
   }

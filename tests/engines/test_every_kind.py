@@ -17,6 +17,7 @@ pytest.importorskip(
 from twins import assert_equal
 
 from rmrc.native.engine import NativeEngine
+from rmrc.native.kinematics import Watched
 
 STEPS = 60
 PYTHONS = {"manipulability", "clearance"}
@@ -148,6 +149,48 @@ def test_an_equality(name: str, scene: str) -> None:
     tasks = [{"name": "loop", "type": "loop", "equalities": [name]}, {"name": "hand", **HAND}, REST]
     engine = compared(config(scene, tasks, dt=0.01, equalities="off"))
     assert bool(engine._foreign) == (name == "spatial tendon")
+
+
+PLACED = {"frame", "relative_frame", "com", "look_at", "axis_align", "loop"}
+"""Types of tasks that C++ evaluates from poses: from no others do they come."""
+ABSENT = "is none of what the kinematics place"
+
+
+def built(scene: str, *tasks: dict[str, Any], limits: dict[str, Any] | None = None) -> None:
+    made = config(scene, list(tasks), dt=0.01, limits=limits or {}, equalities="off")
+    NativeEngine(rmrc.compile(made))
+
+
+@pytest.mark.parametrize("kind", TASKS)
+def test_a_task_that_is_not_registered_is_an_error(
+    kind: str, scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No pose is read that the native kinematics do not place, whatever Python has forgotten."""
+    monkeypatch.setattr(Watched, "add_term", lambda *_: None)
+    task = {"name": "task", "type": kind, **TASKS[kind]}
+    if kind in PLACED:
+        with pytest.raises(ValueError, match=ABSENT):
+            built(scene, task)
+    else:
+        built(scene, task, REST)
+
+
+@pytest.mark.parametrize("kind", ["workspace", "collision"])
+def test_a_limit_that_is_not_registered_is_an_error(
+    kind: str, scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Watched, "add_barrier", lambda *_: None)
+    with pytest.raises(ValueError, match=ABSENT):
+        built(scene, REST, limits={kind: LIMITS[kind]})
+
+
+@pytest.mark.parametrize("kind", ["workspace", "collision"])
+def test_a_barrier_is_registered_where_a_command_leads_as_well(
+    kind: str, scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rmrc.native.kinematics.of_barriers", lambda _: Watched())
+    with pytest.raises(ValueError, match=ABSENT):
+        built(scene, REST, limits={kind: LIMITS[kind]})
 
 
 def test_methods_are_pythons() -> None:

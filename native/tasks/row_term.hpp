@@ -2,16 +2,14 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
 #include <memory>
 #include <vector>
 
+#include "base/numbers.hpp"
+#include "kinematics/frame.hpp"
 #include "kinematics/mujoco.hpp"
 
 namespace rmrc {
-
-/// out = v + ω × (p − o) (3,), of a twist [v; ω] about o.
-void velocity_at(const double* twist, const double* origin, const double* point, double* out);
 
 /// What the terms of a problem write into and read from, arrays of Python's.
 struct Stack {
@@ -39,15 +37,6 @@ struct TermData {
   std::vector<Clamp> clamps;
 };
 
-/// A site, body or geom: where MuJoCo writes its pose, and what moves it.
-struct Frame {
-  const double* position;   // (3,)
-  const double* rotation;   // (9,)
-  const double* reference;  // (3,): the origin of its tree's root, which cdof and `carrier` refer to
-  std::vector<int> dofs;
-  const double* carrier = nullptr;  // velocity (6,) of the mocap body that its tree stands on
-};
-
 /// A dof on the way from the world to what a term draws.
 struct WayJoint {
   int dof;
@@ -59,8 +48,9 @@ struct WayJoint {
 /// A term with a Jacobian of its own, over the columns of the dofs that move it.
 class RowTerm {
  public:
-  /// `root` is S with B = SᵀS: (rows,) a diagonal or (rows, rows); `dofs` are in ascending order.
-  RowTerm(TermData data, std::vector<double> root, std::vector<int> dofs, const MuJoCo& mujoco,
+  /// `root` is S with B = SᵀS: (rows,) a diagonal or (rows, rows); `reads` is all that e and J come
+  /// from.
+  RowTerm(TermData data, std::vector<double> root, Reads reads, const MuJoCo& mujoco,
           const Stack& stack);
   virtual ~RowTerm() = default;
   RowTerm(const RowTerm&) = delete;
@@ -121,6 +111,9 @@ class RowTerm {
   /// Whether the term has a way.
   bool has_way() const { return !way_.empty(); }
 
+  /// The poses that are read.
+  const Poses& poses() const { return poses_; }
+
   const TermData& data() const { return data_; }
   const std::vector<double>& root() const { return root_; }
 
@@ -137,9 +130,6 @@ class RowTerm {
   /// J ← T J_w for T (rows, 6).
   void turn(const double* T);
 
-  /// Have ẋ_ff written at every step, for a mocap body may carry the frame.
-  void stand_on(const Frame& frame) { carried_ |= frame.carrier != nullptr; }
-
   /// W = S J.
   void weigh();
 
@@ -155,9 +145,9 @@ class RowTerm {
   int stride_;
   std::vector<double> jacobian_;  // (rows, stride), and zeros behind the last column
   std::vector<double> world_;     // J_w (6, stride): how the dofs move the frame
-  bool carried_ = false;           // whether mocap bodies carry any of it
+  const bool carried_;             // whether mocap bodies carry any of it, and ẋ_ff has a part of theirs
   std::vector<double> drift_;      // −∂e/∂t (rows,) of the mocap bodies
-  double distance_ = std::numeric_limits<double>::infinity();  // of what the pull turns about, m
+  double distance_ = infinity;  // of what the pull turns about, m
   double carried_by_[6] = {};      // velocity of what mocap bodies carry of it, as J_w
 
  private:
@@ -168,6 +158,7 @@ class RowTerm {
   template <int rows>
   void add_rows(double* H, double* g, int n, int first) const;
 
+  Poses poses_;
   std::vector<double> root_;
   bool counts_;               // whether anything has a weight
   std::vector<int> columns_;  // in the program, in ascending order
@@ -186,135 +177,6 @@ class RowTerm {
   };
   std::vector<WayPoint> way_;
   std::vector<double> exact_root_;
-};
-
-/// e = log(T_bt) and J = Jl⁻¹(e) J_b: a `frame` task along the body's axes.
-class BodyFrame final : public RowTerm {
- public:
-  BodyFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
-            const Stack& stack);
-  void measure(double* measures) const override;
-
- private:
-  void differentiate() override;
-  Frame frame_;
-};
-
-/// e = [p_t − p_b; log(R_t R_bᵀ)]: a `frame` task along the world's axes.
-class WorldFrame final : public RowTerm {
- public:
-  WorldFrame(TermData data, std::vector<double> root, Frame frame, const MuJoCo& mujoco,
-             const Stack& stack);
-  void measure(double* measures) const override;
-
- private:
-  void differentiate() override;
-  Frame frame_;
-};
-
-/// e = −log(T_tf) of a frame in the coordinates of another: a `relative_frame` task.
-class RelativeFrame final : public RowTerm {
- public:
-  RelativeFrame(TermData data, std::vector<double> root, Frame frame, Frame base,
-                const MuJoCo& mujoco, const Stack& stack);
-  void measure(double* measures) const override;
-
- private:
-  void differentiate() override;
-  Frame frame_, base_;
-};
-
-/// e = s (d − a) for an axis a of a frame and the direction d of its target, with the stretch s of
-/// `Stretch`: `look_at`, whose target is a point, and `axis_align`, whose target is a direction.
-class Axis final : public RowTerm {
- public:
-  Axis(TermData data, std::vector<double> root, Frame frame, const double* axis, bool at_point,
-       const MuJoCo& mujoco, const Stack& stack);
-  void measure(double* measures) const override;
-
- private:
-  void differentiate() override;
-  void look_at(double* T, double* direction);
-  void align(double* T, double* direction);
-  Frame frame_;
-  double axis_[3];
-  bool at_point_;
-};
-
-/// What a dof moves of a centre of mass: a share of the mass, whose own centre is at `point`.
-struct MovedMass {
-  int dof;
-  double share;
-  const double* point;      // (3,)
-  const double* reference;  // (3,)
-};
-
-/// A subtree, whose share of the mass has its centre at `point`.
-struct Subtree {
-  double share;
-  const double *point, *reference, *carrier;  // of the latter two see `Frame`
-};
-
-/// e = c* − Σ share c_i over subtrees: a `com` task.
-class CentreOfMass final : public RowTerm {
- public:
-  CentreOfMass(TermData data, std::vector<double> root, std::vector<MovedMass> moved,
-               std::vector<Subtree> subtrees, const MuJoCo& mujoco, const Stack& stack);
-
- private:
-  void differentiate() override;
-  std::vector<MovedMass> moved_;
-  std::vector<Subtree> subtrees_;
-};
-
-/// e = offset − Σ c_i q_i and J = c: a `coupling` task.
-class Coupling final : public RowTerm {
- public:
-  Coupling(TermData data, std::vector<double> root, std::vector<double> by_coordinate,
-           const std::vector<double>& by_dof, double offset, const MuJoCo& mujoco,
-           const Stack& stack);
-
- private:
-  void differentiate() override;
-  std::vector<double> by_coordinate_;
-  double offset_;
-};
-
-/// Rows whose e, ẋ_ff and J others write into the stack, before `read`.
-class ForeignRows final : public RowTerm {
- public:
-  ForeignRows(TermData data, std::vector<double> root, const MuJoCo& mujoco, const Stack& stack);
-
-  void evaluate() override {}
-
-  /// Take J over from the stack, and weigh it.
-  void read();
-
- private:
-  void differentiate() override {}
-};
-
-/// What a term on the joints themselves asks for; e and ẋ_ff of a foreign one are written by others.
-enum class JointTask { posture, velocity, smooth, foreign };
-
-/// A term whose Jacobian is the identity; its weight is in the constant part of H.
-struct JointTerm {
-  TermData data;
-  JointTask task;
-  std::vector<double> weight;  // B: (nv,) a diagonal or (nv, nv)
-  std::vector<int> wrapped;    // dofs of a posture that take the short way round
-
-  /// Write e and ẋ_ff.
-  void evaluate(const MuJoCo& mujoco, const Stack& stack) const;
-
-  /// Return element i of B x (nv,).
-  double weighed(int i, const double* x) const;
-
-  /// Whether the term has a weight.
-  bool counts() const;
-
-  /// gradient ← gradient − B ẋ (nv,).
-  void add_to(double* gradient, const double* rate) const;
 };
 
 }  // namespace rmrc
