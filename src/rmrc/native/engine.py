@@ -121,7 +121,7 @@ def _definite(problem: Problem) -> bool:
 
 
 class NativeEngine(PythonEngine):
-    """Evaluates, assembles and solves in C++, with an active-set method (see native/README.md).
+    """Evaluates, assembles and solves in C++, with an active-set method (see docs/native.md).
 
     Errors, feed-forwards, Jacobians, ẋ, the cost and the box are written where the Python engine
     would have written them. A step is C++'s as a whole, the correction and the shortening of its

@@ -20,7 +20,7 @@ STEP = 1e-6
 CENTRAL_DIFFERENCE = 1e-8
 # The solver of distances ends within 1e-6 of the least distance, which a longer step divides.
 MEASURED_STEP, MEASURED_DIFFERENCE = 1e-3, 5e-3
-# v of the two engines, relative to its largest element, as native/README.md promises.
+# v of the two engines, relative to its largest element, as docs/native.md promises.
 ENGINES = 1e-8
 LAG = 1e-4
 """m, at 0.2 m/s."""

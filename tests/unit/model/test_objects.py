@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 # MuJoCo's distances are no finer, and a step may end this much below d_min.
 MEASURED = 1e-6
-# v of the two engines, relative to its largest element, as native/README.md promises.
+# v of the two engines, relative to its largest element, as docs/native.md promises.
 ENGINES = 1e-8
 REACHED = 1e-3
 """m: a task with this error is where it should be."""

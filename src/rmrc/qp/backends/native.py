@@ -1,4 +1,4 @@
-"""The solver of the native engine, an active-set method of our own (see native/README.md)."""
+"""The solver of the native engine, an active-set method of our own (see docs/native.md)."""
 
 from rmrc._native import QPSolver
 from rmrc.qp.backends.base import Backend
