@@ -4,6 +4,6 @@ import sanitized
 
 
 def test_the_cpp_tests_pass_under_the_sanitizers() -> None:
-    parts = ("engine", "kinematics", "levels", "qp", "singular_values")
+    parts = ("batch", "engine", "kinematics", "levels", "qp", "singular_values")
     folder = sanitized.build(*(f"test_{part}" for part in parts))
     sanitized.done([sanitized.tool("ctest"), "--test-dir", folder, "--output-on-failure"])

@@ -27,7 +27,7 @@ LIMITS = {
 # Statuses that say that a solution is not certified.
 UNCERTAIN = {Status.MAX_ITER, Status.DEADLINE, Status.STALE, Status.INVALID_INPUT}
 
-BACKENDS = ("daqp", "proxqp", "osqp")
+BACKENDS = ("auto", "daqp", "proxqp", "osqp")
 
 
 @dataclass(frozen=True)

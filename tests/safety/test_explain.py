@@ -30,7 +30,7 @@ FACTOR = 1e-5
 def panda(limits: dict[str, Any], *tasks: dict[str, Any], **others: Any) -> rmrc.Controller:
     """Return a controller of the Panda with no limits but these, sent forward."""
     given = {"position": {}, "velocity": "off", **limits}
-    made = problem("panda", "daqp", *ROBOTS["panda"].tasks(), *tasks, limits=given, **others)
+    made = problem("panda", "auto", *ROBOTS["panda"].tasks(), *tasks, limits=given, **others)
     controller = rmrc.Controller(made)
     assert controller.set_target("hand", made.term["hand"].target[4:] + FORWARD)
     return controller
@@ -126,7 +126,7 @@ def test_multipliers_are_in_the_weights_own_unit(kind: str) -> None:
     ]
     limits = {"position": {}, "velocity": "off", **limit(0.0)}
     damping = {"lambda": float(once.problem.damping * np.sqrt(factor))}
-    heavy = rmrc.Controller(problem("panda", "daqp", *tasks, limits=limits, damping=damping))
+    heavy = rmrc.Controller(problem("panda", "auto", *tasks, limits=limits, damping=damping))
     heavy.set_target("hand", heavy.problem.term["hand"].target[4:] + FORWARD)
     first, second = once.step(), heavy.step()
     np.testing.assert_allclose(second.v, first.v, rtol=0.0, atol=FACTOR)
@@ -286,7 +286,7 @@ def test_explaining_leaves_no_trace(busy: rmrc.Problem, backend: str) -> None:
 def test_what_the_curvature_adds_is_said(engine: Any) -> None:
     """It is the diagonal of X beside λ², and none where it is off."""
     for curvature in (True, False):
-        made = problem("panda", "daqp", *ROBOTS["panda"].tasks(), damping={"curvature": curvature})
+        made = problem("panda", "auto", *ROBOTS["panda"].tasks(), damping={"curvature": curvature})
         controller = rmrc.Controller(made, engine)
         assert controller.set_target("hand", made.term["hand"].target[4:] + 1.0)
         account = controller.step().explain()

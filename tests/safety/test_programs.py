@@ -48,7 +48,7 @@ ENDING = 150e-6
 def compiled(robot: str, kind: str) -> rmrc.Problem:
     make = VARIANTS[kind]
     tasks, options = make(robot)
-    return problem(robot, "daqp", *tasks, **options)
+    return problem(robot, "auto", *tasks, **options)
 
 
 def hand_alone(robot: str, curvature: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -213,7 +213,7 @@ def test_one_iteration_gives_a_feasible_point_or_brakes(
             activity = qp.C @ step.v[made.dofs]
             assert (activity >= qp.lo - SAME).all()
             assert (activity <= qp.hi + SAME).all()
-    assert failed or backend != "daqp"
+    assert failed or backend != "auto"
 
 
 @each_backend

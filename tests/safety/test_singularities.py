@@ -94,7 +94,7 @@ def _made(robot: str, acceleration: bool, posture: bool) -> Problem:
         limits["acceleration"] = {"default": 50.0}
     return problem(
         robot,
-        "daqp",
+        "auto",
         *([hand, rest] if posture else [hand]),
         dt=MILLISECOND,
         dofs=list(singularity.joints),

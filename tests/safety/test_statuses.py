@@ -21,9 +21,9 @@ REST = 1e-3
 """Largest joint rate of a robot at rest, rad/s."""
 
 
-def made(robot: str, backend: str = "daqp", *tasks: dict[str, Any], **options: Any) -> rmrc.Problem:
+def made(robot: str, backend: str = "auto", *tasks: dict[str, Any], **options: Any) -> rmrc.Problem:
     options = {"dt": SLOW, "limits": FREE, **options}
-    return with_backend(problem(robot, "daqp", *tasks, **options), backend)
+    return with_backend(problem(robot, "auto", *tasks, **options), backend)
 
 
 def moved(controller: rmrc.Controller, *shift: float) -> Array:
@@ -162,7 +162,7 @@ def test_flags_hold_all_that_is_so(backend: str) -> None:
 
 def test_a_direction_that_is_preserved_says_scaled() -> None:
     hand = ROBOTS["panda"].tasks(preserve="direction")[0]
-    controller = rmrc.Controller(made("panda", "daqp", hand))
+    controller = rmrc.Controller(made("panda", "auto", hand))
     controller.set_target("hand", moved(controller, 0.3, 0.0, 0.0))
     step = controller.step()
     assert {Status.SCALED, Status.LIMITED} <= step.flags

@@ -36,7 +36,7 @@ def _made(robot: str, orientation: float, posture: bool) -> Problem:
     tasks = ROBOTS[robot].tasks(B={"position": 1.0, "orientation": orientation})
     options: dict[str, Any] = {"dt": LONG, "dofs": ROBOTS[robot].arm}
     options["damping"] = {"adapt": "sigma_min"}
-    return problem(robot, "daqp", tasks[0], *([tasks[-1]] if posture else []), **options)
+    return problem(robot, "auto", tasks[0], *([tasks[-1]] if posture else []), **options)
 
 
 @dataclass(frozen=True)

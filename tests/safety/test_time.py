@@ -37,7 +37,7 @@ SETTLED = 1e-12
 
 @cache
 def compiled(robot: str, *options: tuple[str, Any]) -> rmrc.Problem:
-    return problem(robot, "daqp", **{key: dict(value) for key, value in options})
+    return problem(robot, "auto", **{key: dict(value) for key, value in options})
 
 
 @pytest.fixture
