@@ -5,13 +5,10 @@ from time import thread_time
 
 import numpy as np
 import pytest
-from clocks import BUILDERS, Clock
+from clocks import Clock
 from programs import copy_of, moving_program, random_qp, solved
 
-import rmrc.qp.backends.base as backends
-from rmrc.qp.backends import BACKENDS, Backend, create, qpsolvers_adapter
-from rmrc.qp.backends import osqp as osqp_backend
-from rmrc.qp.backends import proxqp as proxqp_backend
+from rmrc.qp.backends import BACKENDS, Backend, create
 from rmrc.qp.certificate import Certificate
 from rmrc.qp.polish import Polish
 from rmrc.qp.program import QP, Solution, SolveStatus
@@ -24,19 +21,6 @@ BUDGETS = (10e-6, 50e-6, 200e-6)
 CUT_OFF = 0.5
 """What a solve may run beyond its budget, as a share of what it takes without one. Measured: 0.1,
 the 32 iterations in which DAQP does not look at the clock, and 0.2 with qpsolvers' preparations."""
-
-
-@pytest.fixture(params=BUILDERS)
-def backend(request: pytest.FixtureRequest) -> Backend:
-    return BUILDERS[request.param]()
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    for module in (backends, osqp_backend, proxqp_backend, qpsolvers_adapter):
-        monkeypatch.setattr(module, "perf_counter", clock)
-    return clock
 
 
 def moving(n: int, rows: int, steps: int) -> list[QP]:

@@ -8,30 +8,13 @@ import numpy as np
 import osqp
 import pytest
 import qpsolvers
-from clocks import BUILDERS, Clock
+from clocks import Clock
 from programs import copy_of, random_qp, solved
 
-import rmrc.qp.backends.base as backends
-from rmrc.qp.backends import Backend, create, qpsolvers_adapter
-from rmrc.qp.backends import osqp as osqp_backend
-from rmrc.qp.backends import proxqp as proxqp_backend
+from rmrc.qp.backends import create
 from rmrc.qp.backends.osqp import OSQP, UNLIMITED
 from rmrc.qp.backends.pace import FADING, Pace
 from rmrc.qp.program import SolveStatus
-
-
-@pytest.fixture(params=BUILDERS)
-def backend(request: pytest.FixtureRequest) -> Backend:
-    return BUILDERS[request.param]()
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    for module in (backends, osqp_backend, proxqp_backend, qpsolvers_adapter):
-        monkeypatch.setattr(module, "perf_counter", clock)
-    return clock
-
 
 # The pace of solvers that do not look at the clock.
 

@@ -1,6 +1,12 @@
-"""Which of the pairs of a robot and a backend are in the suite, and which in `make test-slow`."""
+"""Which pairs of a robot and a backend the suite has, and the problems that inputs are tried on."""
+
+from pathlib import Path
 
 import pytest
+from input_twins import compiled
+from matrix import with_backend
+
+import rmrc
 
 ROBOTS = ("panda", "dual_arm", "biped")
 """Those that every backend has: one arm, two, and a floating base. The default backend has all
@@ -19,3 +25,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         robot, backend = given.get("robot", "panda"), given.get("backend", "auto")
         if backend == "daqp" or (backend != "auto" and robot not in ROBOTS):
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where scenes are written to."""
+    return tmp_path_factory.mktemp("scenes")
+
+
+@pytest.fixture
+def free(robot: str, backend: str, folder: Path) -> rmrc.Problem:
+    """The problem without acceleration limits."""
+    return with_backend(compiled(robot, folder, False), backend)
+
+
+@pytest.fixture
+def slow(robot: str, backend: str, folder: Path) -> rmrc.Problem:
+    """The problem with acceleration limits."""
+    return with_backend(compiled(robot, folder, True), backend)

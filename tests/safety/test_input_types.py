@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from input_twins import SHIFT, Array, compiled
-from matrix import each_backend, each_robot, with_backend
+from input_twins import SHIFT, Array
+from matrix import each_backend, each_robot
 from obstacles import AWAY, BALL
 
 import rmrc
@@ -15,23 +15,6 @@ from rmrc import Status
 
 # A number that is not the same bit for bit where it came through another type or norm.
 SAME = 1e-12
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("scenes")
-
-
-@pytest.fixture
-def free(robot: str, backend: str, folder: Path) -> rmrc.Problem:
-    """The problem without acceleration limits."""
-    return with_backend(compiled(robot, folder, False), backend)
-
-
-@pytest.fixture
-def slow(robot: str, backend: str, folder: Path) -> rmrc.Problem:
-    """The problem with acceleration limits."""
-    return with_backend(compiled(robot, folder, True), backend)
 
 
 def same(good: Array) -> Iterator[Any]:

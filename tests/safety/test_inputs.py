@@ -8,30 +8,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from input_twins import SHIFT, Array, compiled
-from matrix import ACCELERATION, DT, ROUNDING, each_backend, each_robot, with_backend
+from input_twins import SHIFT, Array
+from matrix import ACCELERATION, DT, ROUNDING, each_backend, each_robot
 from obstacles import AWAY, BALL
 
 import rmrc
 from braking import left_of
 from rmrc import Status
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("scenes")
-
-
-@pytest.fixture
-def free(robot: str, backend: str, folder: Path) -> rmrc.Problem:
-    """The problem without acceleration limits."""
-    return with_backend(compiled(robot, folder, False), backend)
-
-
-@pytest.fixture
-def slow(robot: str, backend: str, folder: Path) -> rmrc.Problem:
-    """The problem with acceleration limits."""
-    return with_backend(compiled(robot, folder, True), backend)
 
 
 class Object:

@@ -1,5 +1,7 @@
 """Jogging: frames that move by a twist, and stay where they were when it ends."""
 
+from functools import cached_property
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +20,17 @@ class Frames:
     """The frames of the tasks at any configuration, by MuJoCo, in a data of their own."""
 
     def __init__(self, problem: Problem, data: mujoco.MjData):
-        self._model, self._source, self._data = problem.model, data, mujoco.MjData(problem.model)
+        self._model, self._source = problem.model, data
         self._frame = {
             term.name: frame
             for term in problem.terms
             if isinstance(frame := getattr(term, "frame", None), FrameHandle)
         }
+
+    @cached_property
+    def _data(self) -> mujoco.MjData:
+        """Made when it is first asked for: most controllers never are."""
+        return mujoco.MjData(self._model)
 
     def pose(self, name: str, q: Array) -> tuple[Array, Array]:
         """Return the position (3,) and the rotation (3, 3) of a task's frame at q (nq,)."""

@@ -259,7 +259,7 @@ class Collision(Barrier):
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all that `near` reads and writes, so that other code may go on from any step.
 
-        Of pairs (p, …) where nothing else is said: see `native/collision.hpp`.
+        Of pairs (p, …) where nothing else is said: see `native/limits/collision.hpp`.
         """
         turning = self._turning
         fixed = {

@@ -56,7 +56,7 @@ class Slides:
         step[self._dof] += turn * self._beyond
 
     def described(self) -> list[tuple[Any, ...]]:
-        """Return what the extension knows of each slide: see `native/slides.hpp`."""
+        """Return what the extension knows of each slide: see `native/limits/slides.hpp`."""
         before = [row.nonzero()[0].tolist() for row in self._before]
         columns = (self._coordinate, self._dof, self._zero, self._counted, self._mocap)
         return list(zip(*(column.tolist() for column in columns), before, strict=True))
