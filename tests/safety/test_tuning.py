@@ -124,6 +124,13 @@ def test_a_wrong_change_is_refused_and_changes_nothing(
         np.testing.assert_array_equal(controller.step().v, twin.step().v)
 
 
+def test_what_has_no_weight_cannot_be_switched_off() -> None:
+    freeze = {"name": "still", "type": "freeze", "joints": ["joint7"]}
+    problem = rmrc.compile(config(PANDA, [HAND, freeze], start="home"))
+    with pytest.raises(rmrc.ModelError, match="'still' is a freeze, which has no weight"):
+        rmrc.Controller(problem).tune("still", enabled=False)
+
+
 def test_what_was_set_stays() -> None:
     controller, _ = on_the_way("native")
     controller.set_twist("hand", [0.05, 0.0, 0.0, 0.0, 0.0, 0.0])

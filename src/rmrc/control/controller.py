@@ -25,7 +25,7 @@ from rmrc.control.numbers import LONGEST, SHORTEST, number, seconds_of, told
 from rmrc.control.progress import Progress
 from rmrc.control.status import ACTIVE_MULTIPLIER, Status
 from rmrc.control.step import Made, Step
-from rmrc.control.tuning import with_limits, with_task
+from rmrc.control.tuning import weight_of, with_limits, with_task
 from rmrc.engine.closed_form import UNCERTIFIED
 from rmrc.errors import ModelError, RmrcError, unknown_name
 from rmrc.limits.box import braked
@@ -410,13 +410,13 @@ class Controller:
         The engine is made anew, which takes milliseconds (see `docs/running.md`).
 
         Raises:
-            ModelError: If there is no such task.
+            ModelError: If there is no such task, or it has no weight to switch it off by.
             ConfigError: If a key or a value is wrong, or does not fit the model; nothing changes.
         """
         if enabled is False and name not in self._switched_off:
-            task = {task.name: task for task in self.problem.config.tasks}.get(name)
+            weight = weight_of(self.problem.config, name)
             self._adopt(with_task(self.problem.config, name, {**changes, "B": 0.0}))
-            self._switched_off[name] = changes.get("B", getattr(task, "B", 0.0))
+            self._switched_off[name] = changes.get("B", weight)
             return
         if enabled and name in self._switched_off:
             changes = {"B": self._switched_off[name], **changes}

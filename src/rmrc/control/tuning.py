@@ -14,12 +14,29 @@ def with_task(config: Config, name: str, changes: dict[str, Any]) -> Config:
         ModelError: If there is no such task.
         ConfigError: If a key or a value is wrong.
     """
+    before = _task(config, name)
+    changed = _changed(before, changes)
+    made = tuple(changed if task is before else task for task in config.tasks)
+    return config.model_copy(update={"tasks": made})
+
+
+def weight_of(config: Config, name: str) -> Any:
+    """Return the B of a task.
+
+    Raises:
+        ModelError: If there is no such task, or it has no B.
+    """
+    task = _task(config, name)
+    if "B" not in type(task).model_fields:
+        raise ModelError(f"task '{name}' is a {task.type}, which has no weight to switch it off by")
+    return task.B
+
+
+def _task(config: Config, name: str) -> Any:
     tasks = {task.name: task for task in config.tasks}
     if name not in tasks:
         raise ModelError(unknown_name("task of the configuration", name, tasks))
-    changed = _changed(tasks[name], changes)
-    made = tuple(changed if task is tasks[name] else task for task in config.tasks)
-    return config.model_copy(update={"tasks": made})
+    return tasks[name]
 
 
 def with_limits(config: Config, changes: dict[str, Any]) -> Config:
